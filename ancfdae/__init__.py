@@ -1,6 +1,6 @@
 """First-order design sensitivities of flexible multibody systems in ANCF.
 
-The names here build a scene or start a computation. Others live by their kind in `ancfdae.laws`,
+The names here build a scene or start a computation. Further names are in `ancfdae.laws`,
 `ancfdae.sections`, `ancfdae.observables`, `ancfdae.results`, `ancfdae.errors`, `ancfdae.extend` and
 `ancfdae.plotting`.
 """

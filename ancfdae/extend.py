@@ -1,4 +1,4 @@
-"""Base classes for joints, loads, laws, sections, systems and integrators of one's own."""
+"""Base classes for your own joints, loads, laws, sections, systems and integrators."""
 
 from ancfdae.facade import public_module
 

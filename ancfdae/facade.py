@@ -1,4 +1,4 @@
-"""Public modules: their names are listed once, in a stub, and imported when they are first used."""
+"""Public modules: their names are listed in a stub (.pyi) and imported when they are first used."""
 
 import ast
 import importlib
@@ -8,12 +8,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-# Modules of public names, by the kind of thing that they hold.
+# Modules of public names beside the top level, each for one kind of object.
 PARTS = ("errors", "extend", "laws", "observables", "results", "sections")
 
 
 class PublicModule(NamedTuple):
-    """Attributes that Python asks a module of public names for.
+    """Attributes through which Python finds the names of a public module.
 
     Attributes
     ----------
@@ -34,9 +34,9 @@ class PublicModule(NamedTuple):
 
 
 def public_module(name: str, file: str, others: Iterable[str] = ()) -> PublicModule:
-    """Return the names of the module `name`, which the stub beside its `file` imports.
+    """Return the attributes of the public module `name`, whose names the stub beside `file` lists.
 
-    An unknown name raises AttributeError with the call or page that serves, or with near names;
+    An unknown name raises AttributeError with the call or page to use, or with similar names;
     ``from package import`` of it raises ImportError with the same text. `others` are public names
     that the module defines itself.
     """
@@ -53,7 +53,7 @@ def public_module(name: str, file: str, others: Iterable[str] = ()) -> PublicMod
         return value
 
     names = [*homes, *others]
-    # As of a package the import system asks the module for names; else its text replaces ours.
+    # With a `__path__` the import system takes the module for a package, and keeps our message.
     vars(module).setdefault("__path__", [])
     module.__class__ = _Names
     return PublicModule(homes, names, get, lambda: sorted({*vars(module), *names}))
@@ -78,7 +78,7 @@ def listed_names(stub: Path) -> dict[str, str]:
 
 
 def _unknown(module: ModuleType, name: str) -> Exception:
-    """Return the error for a name that the module does not have, with an answer to it."""
+    """Return the error for a name that the module does not have, with the message of `answer`."""
     here = Path(str(module.__file__)).parent
     if name.startswith("_") or (here / name).is_dir() or list(here.glob(f"{name}.*")):
         return AttributeError(f"module {module.__name__!r} has no attribute {name!r}")
@@ -90,9 +90,9 @@ def _unknown(module: ModuleType, name: str) -> Exception:
 
 
 class _Names(ModuleType):
-    """A module whose public names no module of its package replaces: `modes` is a function."""
+    """A module whose public names are not replaced by submodules: `modes` stays a function."""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Set an attribute; the import system does so with every module that it has loaded."""
+        """Set an attribute, unless it is a loaded submodule with the name of a public object."""
         if not (isinstance(value, ModuleType) and name in self.__all__):
             super().__setattr__(name, value)

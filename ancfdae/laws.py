@@ -1,4 +1,4 @@
-"""Laws: functions of time that drives, loads and supports follow."""
+"""Laws: functions of time that drivers, loads and supports follow."""
 
 from ancfdae.facade import public_module
 

@@ -1,4 +1,4 @@
-"""Observables: quantities of a motion at every instant, with exact partial derivatives."""
+"""Observables: scalar quantities of a motion over time, with exact partial derivatives."""
 
 from ancfdae.facade import public_module
 

@@ -1,4 +1,4 @@
-"""Results: classes that calls return and that nobody constructs."""
+"""Classes of the results that calls return; users do not construct them."""
 
 from ancfdae.facade import public_module
 

@@ -1,4 +1,4 @@
-"""Cross-sections of beams."""
+"""Cross-sections of beams: shapes, walled profiles, and sections given by moments or points."""
 
 from ancfdae.facade import public_module
 

@@ -1,1 +1,1 @@
-"""The ANCF assembler: where a scene becomes a mechanical system."""
+"""Assembly of a scene into a mechanical system with its design derivatives."""

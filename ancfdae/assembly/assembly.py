@@ -1,23 +1,21 @@
-"""The start of a scene: bodies follow the joints by rigid motions, with their derivatives.
+"""The start of a scene: rigid motions of bodies close the joints; with design derivatives.
 
-Assembly: bodies follow joints by rigid motions.
+If design variables move joints, lengths or angles, the bodies as declared no longer meet the
+joints. Each body then moves rigidly, x = (u, g), so that
 
-Where design variables move joints, lengths or angles, the bodies as declared no longer meet them.
-Each then moves rigidly, x = (u, g), so that
-
-    Phi(q(x)) = 0,   the turns sum |g|^2 are least, and among those the displacements sum |u|^2.
+    Phi(q(x)) = 0, the rotations sum |g|^2 are smallest, then the displacements sum |u|^2.
 
 With J = Phi_q q_x, its parts J_u and J_g, and multipliers sigma and rho, that is F = 0 with
 
     F_1 = (0, g) + J^T sigma,   F_2 = J^T Phi,   F_3 = u + J_u^T rho.
 
-Where no rigid motion closes the joints, and the consistent start may strain the bodies, they come
-as near as they can: |Phi|^2 + delta |x|^2 is least with a small delta, F = J^T Phi + delta x.
-Either F is smooth, so that the design derivatives of the start are those of the assembly: one more
-step of Newton's method along each variable (docs/theory/04-start.md).
+If no rigid motion closes the joints, and the consistent start may strain the bodies, they come as
+near to the joints as they can: |Phi|^2 + delta |x|^2 is minimal with a small delta, F = J^T Phi +
+delta x. Either F is smooth, so that the design derivatives of the start follow from one more step
+of Newton's method along each variable (docs/theory/04-start.md).
 
-Velocities follow likewise: to those declared a rigid motion of every body is added, with the least
-angular velocities, so that Phi_q v = nu.
+Velocities likewise: a rigid motion of every body is added to the declared velocities, with the
+smallest angular velocities, so that Phi_q v = nu.
 """
 
 from __future__ import annotations
@@ -41,31 +39,34 @@ from ancfdae.numerics.least_norm import LeastNorm
 from ancfdae.numerics.patterns import SparsityPattern
 
 _ITERATIONS = 60
-# A step that turns a body by more than this is shortened: Newton's method shall find the assembly
-# near the declared one, not that of another branch.
+# Newton steps that rotate a body by more than this, in rad, are shortened, so that they converge to
+# the assembly near the declared one and not to another branch.
 _LONGEST_TURN = 0.3
-# Other starts where the declared one does not lead to closed joints, and the Gibbs vectors of their
-# turns: up to 90 degrees about each axis; and damped steps before Newton's method.
+# Number of random starts tried if the declared one does not close the joints, largest component of
+# their Gibbs vectors (rotations up to 90 degrees about each axis), and number of damped steps
+# before Newton's method.
 _RESTARTS, _FARTHEST, _DAMPED_STEPS = 12, 2.0, 15
-# A motion counts as fixed if no more than this part of it lies in the null space: round-off only.
+# Largest part of a motion in the null space, by round-off, with which the motion counts as
+# determined.
 _FREE = 1e-6
-# Joints count as closed at this distance over the size of the mechanism: far above round-off of
-# Newton's method, far below what a declared start may violate.
+# Gap over the size of the mechanism up to which joints count as closed: far above the round-off of
+# Newton's method, far below the gaps that a declared start may have.
 _CLOSED = 1e-11
 # Round-off of a derivative times the value of the variable, dimensionless.
 _NOISE = 1e-12
-# Parts of the velocities that rates left open are, and rates of motions over those that they close,
-# beyond which rigid motions do not follow. Neighbouring designs lie on the same side of each limit.
+# Limits beyond which rigid motions do not close the rates of joints: remaining rate over
+# velocities, and rate of a motion over the rate it closes. Neighbouring designs lie on the same
+# side of each.
 _OPEN_RATE, _FAST = 1e-3, 10.0
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """The assembled start of a scene, by the equations of its positions.
+    """The assembled start of a scene: positions and velocities that close the joints.
 
-    Bodies follow where it `moves`; otherwise the start is as declared, and a violated joint is for
-    others to refuse. Joints may stay open where the consistent start `strains` the bodies.
+    If `moves`, bodies move rigidly to close them; otherwise the start is as declared, and open
+    joints are found elsewhere. Joints may stay open if the consistent start `strains` the bodies.
     """
 
     closing: Closing
@@ -74,7 +75,7 @@ class Assembly:
 
     @cached_property
     def _rates(self) -> Closing:
-        """Equations of velocities: a body that leads keeps its orientation, but may turn."""
+        """Equations of velocities, in which bodies that lead may also have angular velocities."""
         return replace(self.closing, free=np.ones(self._motions.none.shape, dtype=bool))
 
     @property
@@ -103,14 +104,14 @@ class Assembly:
         return self._moving(self._declared, motion, self.q, self._velocities[0])
 
     def along(self, moved: Declared) -> tuple[Array, Array]:
-        """Return the derivatives of q and v along a declaration moved by an imaginary step."""
+        """Return design derivatives of q and v, (n_q,) each, from the imaginary step in `moved`."""
         inverses = self._position_inverse, self._velocity_inverse
         return self._followed(moved, self._positions, self._velocities, inverses)
 
     def strained_along(self, moved: Declared) -> tuple[Array, Array]:
-        """Return the same as `along` for a declaration that no rigid motion follows.
+        """Return the derivatives of q and v as `along` does, if no rigid motion follows `moved`.
 
-        At values nearby bodies come as near to the joints as they can, and are strained.
+        At neighbouring values bodies come as near to the joints as they can, and are strained.
         """
         none = np.zeros(0)
         y = self._positions[0].real, none, none
@@ -125,7 +126,7 @@ class Assembly:
         rates: Unknowns,
         inverses: tuple[LeastNorm, LeastNorm],
     ) -> tuple[Array, Array]:
-        """Differentiate q and v by one more step of Newton's method each."""
+        """Return the design derivatives of q and v by one more Newton step for each."""
         x = y[0] - 1j * inverses[0].solve(self.closing.at(moved, y).imag)[: len(y[0])]
         q, motion = self.closing.placed(moved, x), self.closing.motion(x)
         F = self._velocity_equations(moved, q, self._moving(moved, motion, q, rates[0]), rates)
@@ -136,12 +137,15 @@ class Assembly:
 
     @cached_property
     def _positions(self) -> Unknowns:
-        """Newton's method from the declared places; a complex part needs two more steps."""
+        """Unknowns (x, sigma, rho) of the positions by Newton's method.
+
+        A complex step of the declaration needs two more iterations.
+        """
         y = self.closing.start(self._soft)
         if self._stands:
             return y
         if not self.moves:
-            # What is declared stands; a perturbation follows it.
+            # The real part stays as declared; only the imaginary perturbation is solved for.
             F = self.closing.at(self._declared, y)
             return _plus(y, -1j * LeastNorm(self.closing.matrix_at(y)).solve(F.imag))
         nearest = self._search(True) if self._soft else self._nearest
@@ -163,7 +167,10 @@ class Assembly:
         )
 
     def _from_elsewhere(self) -> list[Unknowns]:
-        """Newton's method from bodies turned at random, the same each time; what fits."""
+        """Return the solutions from random rotations of the bodies that close all joints.
+
+        The random numbers are the same each time.
+        """
         generator, unknowns = np.random.default_rng(0), []
         turns = ~self.closing.shift
         for _ in range(_RESTARTS):
@@ -173,7 +180,7 @@ class Assembly:
         return [y for y in unknowns if y is not None and self._fits(y)]
 
     def _nearer(self, x: Array) -> Array:
-        """Damped steps of Gauss and Newton towards closed joints, where Newton's goes anywhere."""
+        """Return x after damped Gauss-Newton steps towards closed joints, far from a solution."""
         none, Z = np.zeros(0), self._declared.Z.real
         for _ in range(_DAMPED_STEPS):
             motion = self.closing.motion(x)
@@ -186,7 +193,7 @@ class Assembly:
         return x
 
     def _fits(self, y: Unknowns) -> bool:
-        """Whether joints are closed, and drives on the side of their angle."""
+        """Whether joints are closed, and no driven angle is off by half a turn."""
         q = self.closing.placed(self._declared, y[0])
         return self._open(y[0]) <= _CLOSED and self._declared.constraints.opposite(q, 0.0) is None
 
@@ -195,25 +202,25 @@ class Assembly:
 
     @property
     def _stands(self) -> bool:
-        """Whether the start is as declared, to the last digit."""
+        """Whether the start is exactly as declared."""
         declared = self._declared
         moved = np.iscomplexobj(declared.Z) or declared.constraints.is_complex
         return not (moved or self.moves)
 
     @cached_property
     def _soft(self) -> bool:
-        """Whether bodies only come as near to their joints as rigid motions can."""
+        """Whether rigid motions cannot close the joints and only come as near as they can."""
         if not (self.moves and self.strains):
             return False
         return self._nearest is None or self._open(self._nearest[0]) > _CLOSED
 
     @cached_property
     def _nearest(self) -> Unknowns | None:
-        """Closed joints, or what Newton's method takes for them."""
+        """Unknowns that Newton's method converges to from the declared start; None if it fails."""
         return self._search(False)
 
     def _search(self, soft: bool, start: Unknowns | None = None) -> Unknowns | None:
-        """Newton's method, None if it does not settle."""
+        """Return the unknowns that Newton's method converges to; None if it does not converge."""
         y, settled = self.closing.start(soft) if start is None else start, 0
         for _ in range(_ITERATIONS):
             F = self.closing.at(self._declared, y)
@@ -222,7 +229,7 @@ class Assembly:
             size, turn = np.max(dx, initial=0.0), np.max(dx[~self.closing.shift], initial=0.0)
             dy = dy * min(1.0, _LONGEST_TURN / max(turn, _LONGEST_TURN))
             y = _plus(y, dy)
-            # The error left is the square of the last step.
+            # The remaining error is the square of the last step.
             settled += size <= 1e-8
             if settled == 3 or (settled and F.dtype.kind != "c"):
                 return y
@@ -259,10 +266,10 @@ class Assembly:
 
     @cached_property
     def _soft_rates(self) -> bool:
-        """Whether rigid motions only come as near to the rates of the joints as they can.
+        """Whether rigid motions cannot close the rates of joints and only come near to them.
 
-        That is so where they leave rates open, and where bodies that are strained would have to
-        move fast to close them, as at a dead centre.
+        So it is if they leave rates open, and if bodies that are strained would have to move fast
+        to close them, as at a dead centre.
         """
         if not (self.moves and self.strains):
             return False
@@ -286,24 +293,24 @@ class Assembly:
         return LeastNorm(self._velocity_matrix(1 if self._soft_rates else 3))
 
     def _velocity_matrix(self, count: int) -> Matrix:
-        """Return the matrix of all three equations, or where joints stay open of one."""
+        """Return the matrix of all three velocity equations, or of one if joint rates stay open."""
         q = self.q.real
         J = self._rates.jacobian(q, self._rigid(q))
         return self._rates.matrix(J, [self._rates.flat] * count)
 
     def _moving(self, declared: Declared, motion: Array, q: Array, s: Array) -> Array:
-        """Velocities as declared, with rigid motions at rates s added."""
+        """Return the declared velocities plus rigid motions of the bodies at rates s, (n_q,)."""
         v = declared.velocities(q, motion)
         return v + self._motions.velocities(self._rigid(q), self._rates.motion(s))
 
     def _rigid(self, q: Array) -> Array:
-        """Rigid velocities of all bodies at q."""
+        """Return the velocities of unit rigid motions of all bodies at q."""
         return self._motions.tangent(q.reshape(self._declared.Z.shape), self._motions.none)
 
     # -- what stays open -----------------------------------------------------------------------
 
     def _gaps(self, x: Array) -> Array:
-        """Return the size of the residual of every joint equation after a motion x."""
+        """Return each joint equation's residual over the size of the bodies, after motions x."""
         q = self.closing.placed(self._declared, x)
         return np.asarray(np.abs(self.closing.all_left(self._declared, q).real))
 
@@ -311,18 +318,18 @@ class Assembly:
         return float(np.max(self._gaps(x), initial=0.0))
 
     def _widest(self, x: Array) -> tuple[str, float]:
-        """Return the joint that a motion leaves open by most, and by how much."""
+        """Return the joint with the largest gap after rigid motions x, and this gap."""
         gaps = self._gaps(x)
         return self.names[int(np.argmax(gaps))], float(np.max(gaps))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of the joint of every constraint equation."""
+        """Names of the joints of all constraint equations, one per equation."""
         joints = self._declared.constraints.structure.joints
         return tuple(joint.name for joint in joints for _ in range(joint.rows))
 
     def require_closed(self) -> None:
-        """Refuse joints that rigid motions leave open."""
+        """Raise InconsistentStartError if rigid motions leave a joint open."""
         if self.moves and self._open(self._positions[0]) > _CLOSED:
             joint, gap = self._widest(self._positions[0])
             raise InconsistentStartError(
@@ -335,22 +342,22 @@ class Assembly:
             )
 
     def follows(self, moved: Declared, q_b: Array, value: float) -> str | None:
-        """Return None, or a joint that a variable opens because no rigid motion follows it.
+        """Return a joint that a variable opens although bodies follow it rigidly, or None.
 
-        `q_b` is the derivative of the start along the declaration `moved`, `value` that of the
+        `q_b` is the derivative of the start along the declaration `moved`, `value` the value of the
         variable.
         """
         declared = self.closing.placed(moved, self._positions[0])
         held = np.max(np.abs(self.closing.all_left(moved, declared).imag), initial=0.0) / STEP
         left = np.abs(self.closing.all_left(moved, self.q.real + 1j * STEP * q_b).imag) / STEP
-        # Round-off is that of terms that cancel, and of moving coordinates. Coefficients that
-        # change are seen along a direction of no special kind.
+        # Round-off is relative to terms that cancel, and to moving coordinates. Coefficients that
+        # change are measured along an arbitrary direction.
         q = self.q.real
         along = np.cos(np.arange(len(q))) * np.max(np.abs(q))
         terms = self.closing.weights * moved.constraints.constraint(0.0, q, along).imag / STEP
         size = held + np.max(np.abs(terms), initial=0.0)
         size += np.max(np.abs(declared.imag), initial=0.0) / STEP / self.closing.size
-        # A variable that moves nothing leaves round-off of its own share of the mechanism.
+        # A variable that moves nothing leaves round-off relative to its own value.
         noise = _NOISE / abs(value) if value else 0.0
         if np.max(left, initial=0.0) <= _FREE * size + noise:
             return None
@@ -365,9 +372,9 @@ def _plus(y: Unknowns, dy: Array) -> Unknowns:
 @final
 @dataclass(frozen=True, eq=False)
 class AssembledStart:
-    """Start of a scene at design values b, of its mechanism as declared or as it closes.
+    """Start of a scene at design values b: as declared, or assembled by rigid motions.
 
-    `displaced` tells whether the design has moved what closes it.
+    `displaced` is whether the design has moved anything that closes joints.
     """
 
     scene: Scene
@@ -381,7 +388,10 @@ class AssembledStart:
 
     @cached_property
     def state(self) -> tuple[Array, Array]:
-        """The start q, v; InconsistentStartError where joints stay open that nothing projects."""
+        """Coordinates q and velocities v of the start, shape (n_q,) each.
+
+        Raises InconsistentStartError if joints stay open that `project_start` does not close.
+        """
         if self._stands:
             q = self.reference.Z.ravel()
             v = self.reference.velocities(q, None)
@@ -392,12 +402,12 @@ class AssembledStart:
 
     @property
     def _moves(self) -> bool:
-        """Whether bodies follow the joints: where asked to, and where the design displaces them."""
+        """Whether bodies move to close joints: if asked to, or if the design displaces them."""
         return self.scene.assemble or self.scene.project_start or self.displaced
 
     @property
     def _stands(self) -> bool:
-        """Whether the start is as declared, to the last digit."""
+        """Whether the start is exactly as declared."""
         return not (self._moves or np.iscomplexobj(self.reference.Z) or self.joints.is_complex)
 
     def _closed(self) -> tuple[Array, Array]:
@@ -406,7 +416,7 @@ class AssembledStart:
             assembly.require_closed()
         if not np.iscomplexobj(assembly.q):
             return assembly.q, assembly.v
-        # A complex step of the design is a step along its derivative.
+        # A complex step of the design perturbs the start along its derivative.
         declared = self._declared(None)
         joint = assembly.follows(declared, assembly.q.imag / STEP, 1.0)
         if joint is not None and self.scene.project_start:
@@ -418,19 +428,19 @@ class AssembledStart:
 
     @cached_property
     def along(self) -> dict[int, tuple[Array, Array]]:
-        """Derivatives of q and v, of the variables that move them."""
+        """Derivatives of q and v, (n_q,) each, by index of the variables that move them."""
         active = sorted({*self.reference.active, *self.joints.active})
         return {i: self._follow(i) for i in active}
 
     def state_b(self) -> tuple[Array, Array]:
-        """Return the partials of q and v, shape (n_q, n_b) each."""
+        """Return the design derivatives of q and v, shape (n_q, n_b) each."""
         q_b, v_b = np.zeros((2, self.numbering.n_q, len(self.b)))
         for i, (along_q, along_v) in self.along.items():
             q_b[:, i], v_b[:, i] = along_q, along_v
         return q_b, v_b
 
     def pull_back(self, on_q: Array, on_v: Array) -> Array:
-        """Return q_b^T on_q + v_b^T on_v, shape (n_b,)."""
+        """Return q_b^T on_q + v_b^T on_v of the assembled start, shape (n_b,)."""
         total = np.zeros(len(self.b))
         for i, (along_q, along_v) in self.along.items():
             total[i] = on_q @ along_q + on_v @ along_v
@@ -438,7 +448,7 @@ class AssembledStart:
 
     @cached_property
     def _assembly(self) -> Assembly:
-        """The start where bodies follow the joints."""
+        """Assembly of the scene, in which bodies close the joints by rigid motions."""
         motions, scene = self.numbering.rigid_motions(), self.scene
         free = np.ones(motions.none.shape, dtype=bool)
         names = [member.name for member in scene.members]
@@ -447,7 +457,7 @@ class AssembledStart:
         bodies = self.numbering.bodies
         places = self.reference.Z.real[np.concatenate([body.positions for body in bodies])]
         extent = np.linalg.norm(np.ptp(places, axis=0)) + max(body.size for body in bodies)
-        # A power of two, so that a small change of the design leaves it as it is.
+        # A power of two, so that a small change of the design does not change it.
         size = 2.0 ** np.round(np.log2(extent))
         # Equations of rigid bodies come after those of the joints.
         rows = sum(joint.rows for joint in self.joints.structure.joints[: len(scene.joints)])
@@ -455,7 +465,7 @@ class AssembledStart:
         return Assembly(closing, self._moves, scene.project_start)
 
     def _declared(self, i: int | None) -> Declared:
-        """Return the declaration, with design variable i (if given) moved by an imaginary step."""
+        """Return the declared start before assembly; variable i, if any, has an imaginary step."""
         joints, reference = self.joints, self.reference
         if i is not None:
             joints, reference = joints.moved(i), reference.moved(i)

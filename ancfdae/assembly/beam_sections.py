@@ -1,9 +1,4 @@
-"""Forces and stresses in the sections of beams, prepared when they are first asked for.
-
-Elements of one beam come first, then forces in its sections.
-
-Forces in sections of beams, and von Mises stresses at many points, with their partials.
-"""
+"""Section forces and von Mises stresses of beams, with partials, prepared on first use."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -31,9 +26,9 @@ _Law = TypeVar("_Law")
 @final
 @dataclass(frozen=True)
 class StatePartials:
-    """Partials of one number per instant in the coordinates and velocities of m columns.
+    """Partials of one number per time in m coordinates and velocities, and in the design.
 
-    q and v have the shape (k, m), b has (k, n_b).
+    q and v have the shape (k, m) for the coordinates with indices `columns`, b has (k, n_b).
     """
 
     columns: Array
@@ -44,9 +39,9 @@ class StatePartials:
 
 @final
 class BeamElements:
-    """Some elements of one beam, counted from its start: their numbers, parameters, coordinates.
+    """Consecutive elements of one beam: their indices, parameters and coordinates.
 
-    The parameters given, (n_all, 10), are those of all elements of the scene, real or complex.
+    The argument `parameters`, (n_all, 10), holds all elements of the scene, real or complex.
     """
 
     def __init__(
@@ -67,9 +62,10 @@ class BeamElements:
         self._mapping = mapping
 
     def outline(self, batch: Batch) -> tuple[Array, Array]:
-        """Return y and z of outer points of sections, shape (n, n_f) each.
+        """Return y and z of outer points of the sections, shape (n, n_f) each; m.
 
-        In the plane the lowest, the highest and the middle, where bending and shear are largest.
+        In the plane they are the lowest, the highest and the middle point, where bending and shear
+        are largest.
         """
         y, z = batch.kind.section.outline(batch.sizes)
         if self.element.d == 2:
@@ -79,21 +75,21 @@ class BeamElements:
         return y, z
 
     def relative(self, X: Array) -> Array:
-        """Relative node vectors of node vectors, shape (..., n, n_a, d) to (..., n, n_y, d)."""
+        """Return relative node vectors, (..., n, n_y, d), of node vectors X, (..., n, n_a, d)."""
         n_s = self.element.n_s
         chord = X[..., n_s : n_s + 1, :] - X[..., :1, :]
         return np.concatenate([chord, X[..., 1:n_s, :], X[..., n_s + 1 :, :]], axis=-2)
 
     def spread(self, on_Y: Array) -> Array:
-        """Return gradients in node vectors from those in relative ones: `relative` transposed."""
+        """Return a gradient in node vectors from the gradient in relative node vectors."""
         n_s, chord = self.element.n_s, on_Y[..., :1, :]
         return np.concatenate([-chord, on_Y[..., 1:n_s, :], chord, on_Y[..., n_s:, :]], axis=-2)
 
     def moved(self, law_at: Callable[[Batch], _Law]) -> list[tuple[_Law, Array, Array, Array]]:
-        """Return laws at moved parameters, one tuple for each parameter that a variable drives.
+        """Return evaluators at perturbed parameters, one tuple for each driven parameter.
 
-        A tuple holds the law, the imaginary step, the pairs of element and design variable that
-        drive the parameter, shape (2, n_pairs), and the weight of each pair, shape (n_pairs,).
+        A tuple holds the evaluator, the imaginary step, the pairs of element and design variable
+        that drive the parameter, shape (2, n_pairs), and the weight of each pair, shape (n_pairs,).
         """
         mapping, laws = self._mapping, []
         for which in mapping.driven():
@@ -109,23 +105,23 @@ class BeamElements:
 
 @final
 class SectionForces:
-    """N, V_y, V_z, T, M_y and M_z, counted from 0, at a place in a run of elements of one beam."""
+    """Evaluator of N, V_y, V_z, T, M_y and M_z (components 0 to 5) in one section of a beam."""
 
     def __init__(self, elements: BeamElements, place: SectionPlace) -> None:
         self._elements, self._place = elements, place
         self._law = self._law_at(elements.batch)
 
     def value(self, component: int, q: Array, v: Array) -> Array:
-        """Return a force or moment, shape (k,)."""
+        """Return one component of the section forces, shape (k,); N or N m."""
         return self.values(q, v)[..., component]
 
     def values(self, q: Array, v: Array) -> Array:
-        """Return all of them, shape (k, 6)."""
+        """Return all section forces and moments, shape (k, 6)."""
         at = self._elements.coordinates
         return self._of(self._law, q[:, at], v[:, at])
 
     def partials(self, component: int, q: Array, v: Array, n_b: int) -> StatePartials:
-        """Return the partials of a component, by complex steps of the elements' coordinates."""
+        """Return the partials of one component, by complex steps of the elements' coordinates."""
         elements, at = self._elements, self._elements.coordinates
         X, U, b = q[:, at], v[:, at], np.zeros((len(q), n_b))
         columns = np.unique(at)
@@ -143,7 +139,7 @@ class SectionForces:
 
     @cached_property
     def _moved(self) -> list[tuple[SectionLaw, Array, Array, Array]]:
-        """Laws with a parameter of one element moved, the imaginary step, and who drives it."""
+        """Evaluators with one element parameter perturbed, the perturbation, and its variables."""
         batch, laws = self._elements.batch, []
         for moved, size, (elements, variables), weights in self._elements.moved(
             lambda batch: batch
@@ -159,20 +155,20 @@ class SectionForces:
         return self._elements.element.section_law(batch, self._place)
 
     def _of(self, law: SectionLaw, X: Array, U: Array) -> Array:
-        """Return the six components of forces and moments in sections, shape (..., 6)."""
+        """Return section forces and moments N, V_y, V_z, T, M_y, M_z, (..., 6), of elements."""
         elements = self._elements
         return law.forces(elements.relative(X), elements.relative(U))
 
 
-# Numbers in the arrays of stresses that are held at once.
+# Largest number of entries in an array of stresses.
 _TOGETHER = 2_000_000
 
 
 @final
 class StressPoints:
-    """Von Mises stresses at fibres and places xi of some elements.
+    """Evaluator of von Mises stresses at fibres and locations xi of some elements.
 
-    `places` gives y and z of the fibres, (n, n_f) each, out of the elements, moved or not.
+    `places` returns y and z of the fibres, (n, n_f) each, for a batch of the elements.
     """
 
     def __init__(
@@ -182,16 +178,16 @@ class StressPoints:
         self._law = self._law_at(elements.batch)
 
     def value(self, q: Array, v: Array) -> Array:
-        """Return the stresses, shape (k, n, n_p)."""
+        """Return the von Mises stresses, shape (k, n, n_p); Pa."""
         return np.concatenate(
             [self._law.von_mises(*self._relative(q[k], v[k])) for k in self._parts(len(q))]
         )
 
     def partials(self, q: Array, v: Array, weights: Array, n_b: int) -> StatePartials:
-        """Return the partials of the stresses, times weights (k, n, n_p) and added up."""
+        """Return partials in q, v and b of the sum of stresses times `weights`, (k, n, n_p)."""
         parts = [self._partials(q[k], v[k], weights[k], n_b) for k in self._parts(len(q))]
         rows = (np.concatenate(part) for part in zip(*parts, strict=True))
-        # Columns of other parts may lie between, where these have zeros.
+        # Coordinates of other bodies may lie between; their partials are zero.
         at = self._elements.coordinates
         return StatePartials(np.arange(np.min(at), np.max(at) + 1), *rows)
 
@@ -221,7 +217,7 @@ class StressPoints:
         return self._elements.relative(q[:, at]), self._elements.relative(v[:, at])
 
     def _parts(self, count: int) -> list[slice]:
-        """Split instants, so that arrays of stresses stay small."""
+        """Return slices of the times, so that arrays of stresses stay small."""
         together = max(1, _TOGETHER // self._law.count)
         return [slice(first, first + together) for first in range(0, count, together)]
 
@@ -229,14 +225,14 @@ class StressPoints:
         return self._elements.element.stress_law(batch, self._xi, self._places(batch))
 
 
-# Places along every element where the largest stress is looked for: bending moments are linear in
-# them, or nearly.
+# Locations xi in every element at which the largest stress is searched: bending moments are linear
+# along elements, or nearly.
 _STRESS_PLACES = np.array([0.0, 0.5, 1.0])
 
 
 @final
 class BeamSections:
-    """Section forces and stresses of all beams of a scene, for observables."""
+    """Evaluators of section forces and stresses of all beams of a scene, cached."""
 
     def __init__(
         self, scene: Scene, layout: Layout, numbering: Numbering, mapping: ParameterMap, b: Array
@@ -247,7 +243,7 @@ class BeamSections:
         self._stresses: dict[MaterialPoint | str, StressPoints] = {}
 
     def forces(self, point: MaterialPoint) -> SectionForces:
-        """Return the evaluator of the section forces at a point of a beam."""
+        """Return the evaluator of the section forces at a point of a beam; cached."""
         if point not in self._forces:
             self._forces[point] = self.forces_in(point.beam, *self._locate(point))
         return self._forces[point]
@@ -262,7 +258,7 @@ class BeamSections:
         return SectionForces(self._elements(beam, run), place)
 
     def _acted_on(self, beam: str) -> set[int]:
-        """Return the nodes of a beam that joints, loads or masses act on, or beside which."""
+        """Return the nodes at or next to which joints, loads or masses act."""
         scene, nodes = self._scene, set()
         for part in (*scene.joints, *scene.loads, *scene.point_masses):
             for point in part.points:
@@ -275,12 +271,12 @@ class BeamSections:
         return self._layout.beam(point.beam).locate(point.fraction, point.before)
 
     def require_material(self, where: str, point: MaterialPoint) -> None:
-        """Refuse a point of a beam that lies outside its section, or in a hole of it."""
+        """Raise InvalidInputError for a point outside its section, or in a hole of it."""
         element, _ = self._element(point)
         section, sizes = element.batch.kind.section, element.batch.sizes[0].real.tolist()
         section = section.with_sizes(dict(zip(section.size_names(), sizes, strict=True)))
         require_in_section(where, point, section.half_extents)
-        # In the plane a point stands for all of the width.
+        # In the plane a point represents the whole width.
         if element.element.d == 3 and not section.holds(point.y, point.z):
             raise InvalidInputError(
                 where,
@@ -290,7 +286,7 @@ class BeamSections:
             )
 
     def stress_at(self, point: MaterialPoint) -> StressPoints:
-        """Return the evaluator of the stress at a point of a beam."""
+        """Return the evaluator of the von Mises stress at a point of a beam; cached."""
         if point not in self._stresses:
             element, xi = self._element(point)
             y, z = np.full((1, 1), point.y), np.full((1, 1), point.z)
@@ -299,14 +295,14 @@ class BeamSections:
         return self._stresses[point]
 
     def stress_over(self, beam: str) -> StressPoints:
-        """Return the evaluator of stresses at the outer points of all sections of a beam."""
+        """Return the evaluator of stresses at the outline of all sections of a beam; cached."""
         if beam not in self._stresses:
             elements = self._elements(beam, slice(None))
             self._stresses[beam] = StressPoints(elements, _STRESS_PLACES, elements.outline)
         return self._stresses[beam]
 
     def _element(self, point: MaterialPoint) -> tuple[BeamElements, float]:
-        """Return the element that a point lies in, and where."""
+        """Return the element that a point lies in, and its xi."""
         element, xi = self._locate(point)
         return self._elements(point.beam, slice(element, element + 1)), xi
 
@@ -324,5 +320,5 @@ class BeamSections:
 
 
 def _held(places: tuple[Array, Array], batch: Batch) -> tuple[Array, Array]:
-    """Places in a section that no parameter moves."""
+    """Return coordinates y and z of fibres that no design parameter moves."""
     return places

@@ -1,4 +1,4 @@
-"""Elements as one block: their invariants, prepared once per distinct element."""
+"""Invariants of all elements of a scene, computed once per distinct element."""
 
 from __future__ import annotations
 
@@ -19,10 +19,13 @@ from ancfdae.numerics.arrays import Array
 
 @final
 class _PairPartials(NamedTuple):
-    """Derivatives of invariants in the design variable of each pair, the weight included."""
+    """Derivatives of invariants in the design variable of each pair, times its weight.
+
+    A pair is an element with a design variable that drives one of its parameters.
+    """
 
     A_b: Array  # (n_stiffness_pairs, ...)
-    rest_b: Array  # (n_stiffness_pairs, n_g + 2): of g_o and of `bending`
+    rest_b: Array  # (n_stiffness_pairs, n_g + 2): derivatives of g_o and `bending`
     c_b: Array  # (n_stiffness_pairs, ...)
     m_b: Array  # (n_mass_pairs, n_a, n_a)
 
@@ -30,31 +33,34 @@ class _PairPartials(NamedTuple):
 @final
 @dataclass(frozen=True)
 class ElementBlock:
-    """Invariants of some elements, and their design derivatives pair by pair."""
+    """Invariants of the elements of a scene, and their derivatives per pair.
+
+    A pair is an element with a design variable that drives one of its parameters.
+    """
 
     A: Array  # (n, ...) or (1, ...) when all elements are alike
     g_o: Array  # (n, ...) or (1, ...) when all elements are alike
     bending: Array | None  # (n or 1, 2), as g_o: E I and length of cables; None without cables
     m: Array  # (n, n_a, n_a)
-    # (n,), or None: damping times; None when no element is damped and no design variable could
-    # change that.
+    # (n,): retardation times, s; None if no element is damped and no design variable drives
+    # damping.
     tau: Array | None
-    # of int: pairs of the `ParameterMap` of these elements whose parameter enters A, tau and m.
+    # of int: pairs of the `ParameterMap` whose parameter enters A and g_o; then tau; then m.
     stiffness_pairs: Array
     damping_pairs: Array  # of int
     mass_pairs: Array  # of int
     mapping: ParameterMap
-    # Invariants of elements that differ, and which of them each element has, (n,).
+    # Invariants of distinct elements, and the index of each element among them, (n,).
     distinct: Invariants
     index: Array
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes that are pickled: derivatives, not what they are made from."""
+        """Return the attributes to pickle: derivatives instead of the closures that make them."""
         return {**vars(self), "partials": self.partials, "distinct": None}
 
     @cached_property
     def partials(self) -> _PairPartials:
-        """Derivatives of the invariants in the variables of the pairs; made at the first use."""
+        """Derivatives of the invariants in the variables of all pairs; computed on first use."""
         mapping, distinct, index = self.mapping, self.distinct, self.index
         stiffness, mass, dtype = self.stiffness_pairs, self.mass_pairs, distinct.A.dtype
         A_b = np.zeros((len(stiffness), *distinct.A.shape[1:]), dtype=dtype)
@@ -77,7 +83,7 @@ class ElementBlock:
 
 
 _COLUMNS = np.arange(len(ElementParameter))
-#: Whether no mass depends on a parameter, by its column.
+#: Whether the mass is independent of a parameter, by column of `ElementParameter`.
 WEIGHTLESS = np.isin(
     _COLUMNS,
     (
@@ -87,19 +93,19 @@ WEIGHTLESS = np.isin(
         ElementParameter.INITIAL_STRAIN,
     ),
 )
-# Whether no stiffness does.
+# Whether the stiffness is independent of a parameter.
 _LIMP = np.isin(_COLUMNS, (ElementParameter.DENSITY, ElementParameter.DAMPING_TIME))
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class ElementForms:
-    """The data of the elements of some beams that values of the design leave unchanged.
+    """Data of the elements of some beams that do not depend on design values.
 
-    `element` has all node vectors that those of the beams have: theirs are widened to its size.
-    `kind`, (n,), is the place of each element's type among `kinds`; `Y_unit`, (n, n_y, d), are the
-    reference relative node vectors. Pairs are those of the `mapping`: which enter the stiffness,
-    and which the masses.
+    `element` has the node vectors of all the beams' elements, whose arrays are widened to its size.
+    `kind`, (n,), is the index of each element's type in `kinds`; `Y_unit`, (n, n_y, d), are the
+    relative node vectors of the reference. `stiffness` and `masses` are the pairs of the `mapping`
+    that enter the stiffness and the masses.
     """
 
     element: BeamElement
@@ -113,7 +119,7 @@ class ElementForms:
 
     @staticmethod
     def of(element: BeamElement, beams: Sequence[BeamBody], mapping: ParameterMap) -> ElementForms:
-        """Return the forms of the elements of beams, in the order of the mapping's."""
+        """Return the forms of the elements of `beams`, in the order of the mapping."""
         kinds, kind = element_kinds(beams)
         Y_unit = np.zeros((len(mapping.base), element.n_y, element.d))
         first = np.cumsum([0, *(beam.element_count for beam in beams)])
@@ -130,7 +136,7 @@ class ElementForms:
         mapping, parameters = self.mapping, self.mapping.values(b)
         damped = ElementParameter.DAMPING_TIME
         distinct, index = self._distinct(parameters)
-        # All elements alike have one row of arrays; elements that all differ have theirs.
+        # If all elements are equal, arrays have one row; if all differ, they are not copied.
         whole = slice(None) if len(distinct.A) in (1, len(index)) else index
         tau = parameters[:, damped]
         is_damped = bool(np.any(tau != 0)) or damped in mapping.driven()
@@ -149,7 +155,7 @@ class ElementForms:
         )
 
     def _distinct(self, parameters: Array) -> tuple[Invariants, Array]:
-        """Return the invariants of elements that differ, and which of them each element has."""
+        """Return invariants of elements without duplicates, and each element's index in them."""
         element, kind, Y_unit = self.element, self.kind, self.Y_unit
         if not self.kinds:
             n_g, dtype = element.n_y * (element.n_y + 1) // 2, parameters.dtype
@@ -180,7 +186,7 @@ class ElementForms:
 
 
 def element_kinds(beams: Sequence[BeamBody]) -> tuple[list[tuple[BeamElement, ElementType]], Array]:
-    """Return the distinct types of elements, and the place of each element's among them."""
+    """Return the distinct types of elements, and the index of each element's type, (n,)."""
     kinds: dict[tuple[object, ...], tuple[BeamElement, ElementType]] = {}
     places = []
     for beam in beams:
@@ -192,10 +198,10 @@ def element_kinds(beams: Sequence[BeamBody]) -> tuple[list[tuple[BeamElement, El
 
 
 def unit_vectors(beam: BeamBody) -> Array:
-    """Return reference relative node vectors of a beam's elements, the chord per unit length.
+    """Return the reference relative node vectors of a beam, (n, n_y, d), chord per unit length.
 
-    The material is isotropic, so a straight element of any orientation has the invariants of
-    one along the x axis; using those makes equal elements equal bit by bit.
+    The material is isotropic, so a straight element of any orientation has the invariants of an
+    element along the x axis; using those makes equal elements equal bit by bit.
     """
     element, shape, n = beam.element, beam.reference(), beam.element_count
     slopes = slice(0, element.n_s - 1)

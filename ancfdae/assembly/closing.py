@@ -1,4 +1,4 @@
-"""Equations that close joints by motions of the bodies: F of `assembly.py`, and its matrix."""
+"""Equations F of rigid motions that close the joints (see `assembly.py`), and their Jacobian."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.least_norm import DENSE
 from ancfdae.numerics.patterns import SparsityPattern
 
-#: delta: what moving by the size of the mechanism counts beside joints that stay open by as much.
+#: delta: weight of the motions relative to the gaps of joints, both over the size of the mechanism.
 SOFT = 1e-3
 
 #: Unknowns of a problem: a motion of all free bodies, and multipliers sigma and rho.
 Unknowns: TypeAlias = tuple[Array, Array, Array]
-#: An array, or of a large problem a sparse array of SciPy.
+#: An array, or for large problems a sparse array of SciPy.
 Matrix: TypeAlias = Any
 
 
 @final
 @dataclass(frozen=True)
 class Declared:
-    """Joints, coordinates and velocities of a scene as declared at one value of its design.
+    """Joints, coordinates and velocities of a scene as declared, at one design.
 
-    `velocities` gives v for the coordinates q and the turns x that brought the bodies there.
+    `velocities` returns v for the coordinates q and the rotations x that brought the bodies there.
     """
 
     constraints: JointConstraints
@@ -41,13 +41,13 @@ class Declared:
 @final
 @dataclass(frozen=True, eq=False)
 class Closing:
-    """The equations in positions or in velocities, which are alike.
+    """Equations F = 0 that close the joints in positions or in velocities.
 
-    The pattern is that of the system's tangents, which constraints place their curvature on. The
-    first `rows` equations change with rigid motions, the others say that bodies are rigid. `free`,
-    (n_bodies, n_x), tells which numbers of the motions may change: not the turns of a body that
-    leads. `size` is that of the mechanism, for the units: a power of two, so that it does not move
-    with the design.
+    `pattern` is the sparsity pattern of the system's tangents, on which constraints place their
+    curvature. The first `rows` equations change with rigid motions; the others keep bodies rigid.
+    `free`, (n_bodies, n_x), is whether components of motions may change: not the rotations of a
+    body that leads. `size` is the size of the mechanism, m, rounded to a power of two, so that it
+    does not change with the design.
     """
 
     motions: RigidMotions
@@ -63,7 +63,7 @@ class Closing:
 
     @cached_property
     def shift(self) -> Array:
-        """Whether each free component of the motions is a displacement, shape (n_free,)."""
+        """Whether each free component of the rigid motions is a displacement, shape (n_free,)."""
         d = self.declared.Z.shape[1]
         is_shift = np.broadcast_to(np.arange(self.motions.n_x) < d, self.free.shape)
         return is_shift.ravel()[self._places]
@@ -74,33 +74,34 @@ class Closing:
 
     @cached_property
     def _small(self) -> bool:
-        """Whether matrices are arrays: calls of SciPy's sparse ones take longer than products."""
+        """Whether matrices are dense arrays: for small ones SciPy's sparse arrays are slower."""
         return len(self._places) + 2 * self.rows <= DENSE
 
     @cached_property
     def _freedom(self) -> Matrix:
-        """Free motions in their units, as columns of all."""
+        """Matrix from scaled free components of the rigid motions to all components."""
         place = self._places, np.arange(len(self._places))
         shape = self.motions.none.size, len(self._places)
         return scipy.sparse.csr_array((self._units, place), shape=shape)
 
     @cached_property
     def flat(self) -> Matrix:
-        """No curvature."""
+        """The zero matrix, for problems without curvature of the constraints."""
         n = len(self._places)
         return np.zeros((n, n)) if self._small else scipy.sparse.csr_array((n, n))
 
     def _moving(self, T: Array) -> Matrix:
-        """Velocities of the coordinates in free motions, (n_q, n_free)."""
+        """Return the derivative of the coordinates in free motions, shape (n_q, n_free)."""
         if self._small:
             return self.motions.array(T)[:, self._places] * self._units
         return self.motions.matrix(T) @ self._freedom
 
     @cached_property
     def weights(self) -> Array:
-        """One over the size for equations of lengths, which displacements change, else 1; (rows,).
+        """Scale of each equation, shape (n_lam,): 1/size for lengths, 1 for dimensionless ones.
 
-        Formulas have any unit: one over their change by a motion of the size of the mechanism.
+        Equations that change with displacements are lengths. Formulas may have any unit: their
+        scale is one over their change in a motion of the size of the mechanism.
         """
         Z, constraints = self.declared.Z.real, self.declared.constraints
         B = constraints.constraint_q(0.0, Z.ravel()).real
@@ -115,7 +116,7 @@ class Closing:
         return weights
 
     def start(self, soft: bool) -> Unknowns:
-        """Return the unknowns at zero motion; if `soft`, without multipliers: joints may open."""
+        """Return the unknowns at zero motion; if `soft`, joints may open: without multipliers."""
         rows = np.zeros(0 if soft else self.rows)
         return np.zeros(len(self._places)), rows, rows
 
@@ -127,25 +128,25 @@ class Closing:
         return motion.reshape(none.shape)
 
     def placed(self, declared: Declared, x: Array) -> Array:
-        """Return the coordinates of the bodies of `declared` moved by x."""
+        """Return the coordinates, (n_q,), after the motions x of the bodies of `declared`."""
         return self.motions.place(declared.Z, self.motion(x)).ravel()
 
     def all_left(self, declared: Declared, *motion: Array) -> Array:
-        """Return Phi or its rate in units of the size of the mechanism."""
+        """Return the scaled residuals of all joint equations, or of their rates, shape (n_lam,)."""
         return self.weights * declared.constraints.constraint(0.0, *motion)
 
     def left(self, declared: Declared, *motion: Array) -> Array:
-        """Return the same of the equations that change with rigid motions."""
+        """Return the scaled residuals of joint equations that rigid motions can change, (rows,)."""
         return self.all_left(declared, *motion)[: self.rows]
 
     def at(self, declared: Declared, y: Unknowns) -> Array:
-        """F with the bodies of `declared` moved by x."""
+        """Return the residual F of the closing equations at unknowns y, bodies as `declared`."""
         motion, q = self.motion(y[0]), self.placed(declared, y[0])
         T = self.motions.tangent(declared.Z, motion)
         return self.equations(declared, q, T, y, self.left(declared, q))
 
     def equations(self, declared: Declared, q: Array, T: Array, y: Unknowns, left: Array) -> Array:
-        """(F_1, F_2, F_3), where `left` holds the residuals of the joints' equations."""
+        """Return the closing equations (F_1, F_2, F_3); `left` holds the joints' residuals."""
 
         def work(multipliers: Array) -> Array:
             force = declared.constraints.reaction(0.0, q, self._spread(multipliers))
@@ -159,13 +160,13 @@ class Closing:
         return np.concatenate([F_1, F_2, x[shift] + work(rho)[shift]])
 
     def _spread(self, multipliers: Array) -> Array:
-        """Return the multipliers of all equations, in their units, from those that may act."""
+        """Return multipliers of all joint equations, (n_lam,), from the first, scaled ones."""
         lam = np.zeros(len(self.weights), dtype=multipliers.dtype)
         lam[: self.rows] = self.weights[: self.rows] * multipliers
         return lam
 
     def jacobian(self, q: Array, T: Array) -> Matrix:
-        """J, dimensionless, shape (n_rows, n_free)."""
+        """Return J, the derivative of the scaled residuals in free motions, (n_rows, n_free)."""
         constraints, moving = self.declared.constraints, self._moving(T)
         pattern, values = constraints.structure.pattern, constraints.constraint_q(0.0, q).real
         if self._small:
@@ -174,7 +175,7 @@ class Closing:
         return (rows @ pattern.csr(values)[: self.rows] @ moving).tocsr()
 
     def matrix_at(self, y: Unknowns) -> Matrix:
-        """F_(x, sigma, rho) for `at`."""
+        """Return the Jacobian of F of `at` in (x, sigma, rho), or in x for soft equations."""
         x, sigma, rho = (part.real for part in y)
         Z, motion, constraints = self.declared.Z.real, self.motion(x), self.declared.constraints
         q = self.motions.place(Z, motion).ravel()
@@ -184,7 +185,7 @@ class Closing:
         moving = self._moving(T)
 
         def bend(multipliers: Array) -> Matrix:
-            """(J^T s)_x with s held: curvature of the joints, and of the turns."""
+            """Return (J^T s)_x at fixed s: the curvature of the joints and of the rotations."""
             lam = self._spread(multipliers)
             values = only(constraints.constraint_force_q(q[None], lam[None], np.zeros(1))).real
             force = constraints.reaction(0.0, q, lam).real
@@ -199,7 +200,7 @@ class Closing:
         return self.matrix(self.jacobian(q, T), [bend(s) for s in loads])
 
     def matrix(self, J: Matrix, bends: Sequence[Matrix]) -> Matrix:
-        """F_(x, sigma, rho), or of one equation F_x."""
+        """Return the Jacobian of F from J and the curvatures of its three equations, or of one."""
         (m, n), shift = J.shape, self.shift
         if self._small:
             if len(bends) == 1:

@@ -1,10 +1,8 @@
-"""Dependence of the coefficients of all joints on time and on the design.
+"""Constraints of all joints at once, with their dependence on time and on the design.
 
-Constraints of all joints at once, from the coefficients that the joints state.
-
-With the point vectors U = L q of all joints they are polynomials in U, or formulas that became
-lists of operations (`assembly/joint_formulas.py`); kernels evaluate both.
-docs/theory/03-joints-and-loads.md lists the quantities that follow.
+With the point vectors U = L q of all joints they are polynomials in U, or formulas recorded as
+lists of operations (`assembly/joint_formulas.py`); compiled kernels evaluate both.
+docs/theory/03-joints-and-loads.md lists the derived quantities.
 """
 
 from __future__ import annotations
@@ -18,31 +16,24 @@ import numpy as np
 
 from ancfdae.assembly.joint_structure import JointStructure, Slot
 from ancfdae.errors.kinds import InconsistentStartError
-from ancfdae.kernels import (
-    ConstraintPlan,
-    Constraints,
-    constraint_curvature,
-    constraint_gradient,
-    constraint_totals,
-    constraints,
-)
+from ancfdae.kernels import ConstraintPlan, Constraints
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import SparsityPattern
 
 _ORDERS = 4
-# Number of times whose factors are kept; a start and the checks of a run ask for four.
+# Number of times whose factors are cached; the start and the checks of a run use four.
 _KEPT = 8
-# Tables of factors are kept for as many times: designs of a sweep often share their steps.
+# Largest number of times of a cached table of factors: designs of a sweep often share their steps.
 _FEW = 1000
 
 
 @final
 class JointFactors:
-    """Factors at instants, (orders, k, n_parts); of the first part, which stays, one and zeros.
+    """Time factors of driven joints, (orders, k, n_parts), cached.
 
-    Of a scene without driven joints there is one row for all times. Factors at single times and
-    short tables are kept: an iteration asks for the same again and again, and so does each design
-    of a sweep.
+    The first part of the coefficients is constant in time: its factor is one, its rates are zero. A
+    scene without driven joints has one row for all times. Factors at single times and short tables
+    are cached, because iterations and the designs of a sweep use them again.
     """
 
     def __init__(self, slots: Sequence[Slot]) -> None:
@@ -55,19 +46,19 @@ class JointFactors:
 
     @property
     def active(self) -> set[int]:
-        """Design variables that change a factor."""
+        """Design variables that change a time factor of a joint."""
         return {int(i) for slot in self._slots for i in np.flatnonzero(np.any(slot.item.p_b, 0))}
 
     def at(self, t: float, orders: int = 1) -> Array:
-        """Return the factors at time t (s) and their time derivatives of order 1 to orders - 1.
+        """Return the factors at time t, s, and their time derivatives, shape (k, 1, n_parts).
 
-        Shape (k, 1, n_factors) with k >= `orders`.
+        The order of derivatives goes from 0 to k - 1 with k >= `orders`.
         """
         if not self.driven:
             return self._still
         factors = self._known.get(t)
         if factors is None or len(factors) < orders:
-            # A start asks for one order after the other.
+            # The start of a run needs one order after the other.
             factors = self._over(np.array([t]), orders if factors is None else _ORDERS)
             if len(self._known) >= _KEPT:
                 self._known = {}
@@ -75,13 +66,13 @@ class JointFactors:
         return factors
 
     def over(self, t: Array, orders: int = 1) -> Array:
-        """Return the factors and their rates at times t, s; one row if no joint is driven."""
+        """Return time factors and rates at times t, s, (orders, k, n_parts); k = 1 if undriven."""
         if not self.driven:
             return self._still[:orders]
         return self._table(t, orders)
 
     def _table(self, t: Array, orders: int) -> Array:
-        """Return the table of `over`, or of `by_turn` for zero orders, kept; (orders, k, n)."""
+        """Return the cached table of `over`, or of `by_turn` if `orders` is 0; (orders, k, n)."""
         key = t.tobytes(), orders
         table = self._tables.get(key)
         if table is None:
@@ -99,17 +90,17 @@ class JointFactors:
         return np.concatenate([still, *(np.array(x) for x in each)], axis=2)
 
     def spread(self, t: Array, orders: int = 1) -> Array:
-        """Return the factors and rates at times t with one row per time, shape (orders, k, n)."""
+        """Return time factors and rates at times t, one row per time, (orders, k, n_parts)."""
         factors = self.over(t, orders)
         return factors if self.driven else np.repeat(factors, len(t), axis=1)
 
     @cached_property
     def turns(self) -> bool:
-        """Whether a joint prescribes an angle."""
+        """Whether one of the joints prescribes an angle."""
         return bool(np.any(self.by_turn(np.zeros(1))))
 
     def by_turn(self, t: Array) -> Array:
-        """Return the derivatives of the factors in prescribed angles, (1, k, n_parts)."""
+        """Return derivatives of the time factors in prescribed angles at t, (1, k, n_parts)."""
         return self._table(t, 0)
 
     def _by_turn(self, t: Array) -> Array:
@@ -117,12 +108,12 @@ class JointFactors:
         return np.concatenate([np.zeros((len(t), 1)), *each], axis=1)[None]
 
     def turn_rate(self, t: Array) -> Array:
-        """Return the largest rate of a prescribed angle, (k,); rad/s."""
+        """Return the largest rate of a prescribed angle at times t, shape (k,); rad/s."""
         rates = [np.abs(slot.item.turn_rate(t)) for slot in self._slots]
         return np.max([np.zeros(len(t)), *rates], axis=0)
 
     def partials(self, t: Array, orders: int, n_b: int) -> Array | None:
-        """Return the design partials of `spread`, (n_b, orders, k, n_parts), None without any."""
+        """Return the design partials of `spread`, (n_b, orders, k, n_parts); None without any."""
         active = self.active
         if not active:
             return None
@@ -139,7 +130,7 @@ class JointFactors:
 @final
 @dataclass(frozen=True, eq=False)
 class JointPartials:
-    """Partials of entries of L and of coefficients, joint by joint that each variable reaches."""
+    """Design partials of entries of L (U = L q) and of joint coefficients, by variable, joint."""
 
     structure: JointStructure
     factors: JointFactors
@@ -147,7 +138,7 @@ class JointPartials:
 
     @cached_property
     def arrays(self) -> tuple[Array, ...]:
-        """Arguments of `constraint_totals`: variable, number, first, part, entry, value."""
+        """Design partials as arrays for the kernel: variable, number, first, part, entry, value."""
         numbers, variable, first, changes = [], [0], [0], [(np.zeros(0, dtype=np.int64),) * 3]
         for i in range(self.n_b):
             for number, change in self._reached(i):
@@ -161,11 +152,11 @@ class JointPartials:
 
     @cached_property
     def active(self) -> list[int]:
-        """Design variables that constraints depend on with q held."""
+        """Design variables that constraints depend on at fixed q."""
         return np.flatnonzero(np.diff(self.arrays[0])).tolist()
 
     def _reached(self, i: int) -> list[tuple[int, tuple[Array, Array, Array]]]:
-        """Return the joints that variable i changes: index, with parts, entries and values."""
+        """Return the joints that design variable i changes: index, parts, entries and values."""
         structure, reached = self.structure, []
         vectors = structure.vectors
         chosen = vectors.variable == i
@@ -186,9 +177,9 @@ class JointPartials:
         return reached
 
     def contract(self, on_l: Array, on_c: Array, t: Array) -> Array:
-        """Return partials in b from those in entries of L, (k, n_l), and coefficients, (k, n, n_c).
+        """Return design partials, (n_b,), from gradients in entries of L and in coefficients.
 
-        The n are orders of time derivatives.
+        `on_l` has the shape (k, n_l), `on_c` (k, orders, n_c) for the orders of time derivatives.
         """
         orders, structure = on_c.shape[1], self.structure
         variable, _, first, part, entry, value = self.arrays
@@ -213,20 +204,20 @@ class JointPartials:
 @final
 @dataclass(frozen=True, eq=False)
 class JointConstraints:
-    """Phi and all that follows from it.
+    """Constraints Phi(q, t) = 0 of all joints, with their time and design derivatives.
 
-    Arrays of states have instants as leading axis, (k, n_q); methods that take one instant say so.
+    Arrays of states have time as leading axis, (k, n_q); methods for a single time say so.
     """
 
     structure: JointStructure
-    # of int: places of the structure's couplings among values of the system's pattern.
+    # of int: indices of the structure's couplings among the values of the system's pattern.
     curved: Array
     n_curved: int  # number of these values
     n_b: int
 
     @staticmethod
     def on(pattern: SparsityPattern, structure: JointStructure, n_b: int) -> JointConstraints:
-        """Return constraints whose curvature is placed on a pattern that holds the couplings."""
+        """Return the constraints for a pattern of the tangents that holds their couplings."""
         curved = pattern.index(*structure.couplings)
         return JointConstraints(structure, curved, pattern.size, n_b)
 
@@ -234,7 +225,7 @@ class JointConstraints:
 
     @cached_property
     def plan(self) -> ConstraintPlan:
-        """The constraints as arrays for the compiled kernels."""
+        """Data of the constraints as arrays for the compiled kernels."""
         return self.structure.plan(self.curved, self.n_curved)
 
     @cached_property
@@ -248,20 +239,20 @@ class JointConstraints:
 
     @property
     def linear(self) -> bool:
-        """Whether no equation has a product or a formula."""
+        """Whether all equations are linear in the coordinates."""
         return len(self.structure.couplings[0]) == 0
 
     @cached_property
     def _tangent(self) -> Array | None:
-        """Values of Phi_q where they are the same at all states and times."""
+        """Values of Phi_q if they are the same at all states and times; otherwise None."""
         if self.factors.driven or not self.linear:
             return None
         none = np.zeros(self.structure.vectors.n_q)
-        return constraints(self.plan, Constraints.VALUES, self.factors.at(0.0), None, none)
+        return self.plan.evaluate(Constraints.VALUES, self.factors.at(0.0), None, none)
 
     @property
     def active(self) -> list[int]:
-        """Design variables that constraints depend on with q held."""
+        """Design variables that constraints depend on at fixed q."""
         return self._partials.active
 
     @property
@@ -271,15 +262,18 @@ class JointConstraints:
 
     @property
     def is_complex(self) -> bool:
-        """Whether coefficients carry a complex perturbation."""
+        """Whether the joint coefficients carry an imaginary perturbation."""
         return any(np.iscomplexobj(c) for c in self.structure.parts)
 
     def moved(self, i: int) -> JointConstraints:
-        """Return the constraints moved in design variable i by an imaginary step."""
+        """Return the constraints with design variable i perturbed by an imaginary step."""
         return replace(self, structure=self.structure.moved(i)) if i in self.active else self
 
     def refuse_opposite(self, q: Array, t: float) -> None:
-        """Refuse a start at which a drive is half a turn off, where its equation holds as well."""
+        """Raise InconsistentStartError if a driven section starts half a turn off its angle.
+
+        The equation of the driver holds there as well.
+        """
         name = self.opposite(q, t)
         if name is not None:
             raise InconsistentStartError(
@@ -290,7 +284,7 @@ class JointConstraints:
             )
 
     def opposite(self, q: Array, t: float) -> str | None:
-        """Return the name of a drive that is half a turn off, None without one."""
+        """Return the name of a driven joint that is half a turn off its angle; None without one."""
         U = only(self.structure.vectors.of(q[None])).real
         for slot in self.structure.slots:
             item = slot.item
@@ -301,82 +295,85 @@ class JointConstraints:
 
     @property
     def turns(self) -> bool:
-        """Whether a joint prescribes an angle."""
+        """Whether one of the joints prescribes an angle."""
         return self.factors.turns
 
     def by_turn(self, q: Array, t: Array) -> Array:
-        """Return the derivatives of Phi in prescribed angles at many instants, (k, n_lam)."""
+        """Return the derivatives of Phi in prescribed angles at times t, shape (k, n_lam)."""
         factors = np.concatenate([self.factors.over(t), self.factors.by_turn(t)])
-        return constraints(self.plan, Constraints.RATE, factors, None, q, np.zeros_like(q))
+        return self.plan.evaluate(Constraints.RATE, factors, None, q, np.zeros_like(q))
 
-    # -- values, one instant -------------------------------------------------------------------
+    # -- values, one time ----------------------------------------------------------------------
 
     def constraint(self, t: float, *motion: Array) -> Array:
-        """Phi or its time derivative, of the order of the number of rates."""
+        """Return Phi, or its time derivative of the order of the rates in `motion`, (n_lam,)."""
         factors = self.factors.at(t, len(motion))
-        return constraints(self.plan, Constraints.RATE, factors, None, *motion)
+        return self.plan.evaluate(Constraints.RATE, factors, None, *motion)
 
     def constraint_q(self, t: float, *motion: Array) -> Array:
-        """Values of Phi_q or its time derivative."""
+        """Return the values of Phi_q, or of its time derivative, on its sparsity pattern."""
         if self._tangent is not None and len(motion) == 1:
             return self._tangent
         factors = self.factors.at(t, len(motion))
-        return constraints(self.plan, Constraints.VALUES, factors, None, *motion)
+        return self.plan.evaluate(Constraints.VALUES, factors, None, *motion)
 
     def reaction(self, t: float, q: Array, lam: Array) -> Array:
-        """Return Phi_q^T lam, the forces of the joints times -1, shape (n_q,)."""
-        return constraints(self.plan, Constraints.FORCE, self.factors.at(t), lam, q)
+        """Return Phi_q^T lam, minus the generalised forces of the joints, shape (n_q,)."""
+        return self.plan.evaluate(Constraints.FORCE, self.factors.at(t), lam, q)
 
     def force_q_along(self, t: float, states: tuple[Array, Array, Array], share: float) -> Array:
-        """Values of the derivative of (Phi_q^T lam)_q along (share, dq); states are q, dq, lam."""
+        """Return the values of the derivative of (Phi_q^T lam)_q along (share, dq).
+
+        `states` are q, dq, lam at one time; `share` is the change of time.
+        """
         (q, dq, lam), factors = states, self.factors.at(t, 2)
-        total = constraint_curvature(self.plan, factors, lam, q, dq)
+        total = self.plan.curvature(factors, lam, q, dq)
         if share == 1 or not self.factors.driven:
             return total
-        return total - (1 - share) * constraint_curvature(self.plan, factors, lam, q, 0 * dq)
+        return total - (1 - share) * self.plan.curvature(factors, lam, q, 0 * dq)
 
-    # -- values, many instants -----------------------------------------------------------------
+    # -- values, many times --------------------------------------------------------------------
 
     def constraint_force_q(self, q: Array, lam: Array, t: Array) -> Array:
-        """Values of (Phi_q^T lam)_q for rows of q and lam, shape (k, nnz)."""
-        return constraint_curvature(self.plan, self.factors.over(t), lam, q)
+        """Return the values of (Phi_q^T lam)_q at times t for rows of q and lam, shape (k, nnz)."""
+        return self.plan.curvature(self.factors.over(t), lam, q)
 
     def constraints_q(self, t: Array, *motion: Array) -> Array:
-        """Values of Phi_q or its time derivative, shape (k, nnz)."""
+        """Return the values of Phi_q, or of its time derivative, at times t, shape (k, nnz)."""
         if self._tangent is not None and len(motion) == 1:
             return np.repeat(self._tangent[None], len(t), axis=0)
         factors = self.factors.over(t, len(motion))
-        return constraints(self.plan, Constraints.VALUES, factors, None, *motion)
+        return self.plan.evaluate(Constraints.VALUES, factors, None, *motion)
 
     def pull_back(self, q: Array, lam: Array, t: Array, mu: Array, zeta: Array) -> Array:
-        """Sum over instants of (Phi_q^T lam)_b^T mu + Phi_b^T zeta, shape (n_b,)."""
+        """Return the sum over times of (Phi_q^T lam)_b^T mu + Phi_b^T zeta, shape (n_b,)."""
         if not self.active:
             return np.zeros(self.n_b)
         # Design partials of the derivative of lam . Phi along mu, and of zeta . Phi.
         return self._pulled(t, (q + 1j * STEP * mu,), lam + 1j * STEP * zeta)
 
-    # -- what drives do, many instants ---------------------------------------------------------
+    # -- power of driven joints, many times ----------------------------------------------------
 
     def works(self, q: Array, lam: Array, t: Array) -> Array:
-        """Power of the driven joints, lam . Phi_t, shape (k,); W."""
+        """Return the power of the driven joints, lam . Phi_t, shape (k,); W."""
         return np.asarray(np.sum(lam * self._by_time(q, t), axis=1))
 
     def works_partials(self, q: Array, lam: Array, t: Array) -> tuple[Array, Array, Array]:
-        """Return partials of `works` in q, lam and b; shape (k, n) each."""
+        """Return the partials of `works` in q, lam and b; shape (k, n) each."""
         factors, at_rest = self.factors.over(t, 2), (q, np.zeros_like(q))
-        on_q = constraints(self.plan, Constraints.FORCE, factors, lam, *at_rest)
+        on_q = self.plan.evaluate(Constraints.FORCE, factors, lam, *at_rest)
         factors_b = self.factors.partials(t, 2, self.n_b)
-        rows = constraint_totals(
-            self.plan, self._partials.arrays, factors, factors_b, None, None, at_rest, None
+        rows = self.plan.totals(
+            self._partials.arrays, factors, factors_b, None, None, at_rest, None
         )
         return on_q, self._by_time(q, t), np.einsum("kbn,kn->kb", rows, lam)
 
     def _by_time(self, q: Array, t: Array) -> Array:
-        """Return Phi_t, (k, n_lam): the rate of Phi at rest."""
+        """Return Phi_t at times t, the rate of Phi at zero velocity, shape (k, n_lam)."""
         factors = self.factors.over(t, 2)
-        return constraints(self.plan, Constraints.RATE, factors, None, q, np.zeros_like(q))
+        return self.plan.evaluate(Constraints.RATE, factors, None, q, np.zeros_like(q))
 
-    # -- rates and their total derivatives, one instant ------------------------------------------
+    # -- rates and their total derivatives, one time ---------------------------------------------
 
     def force_along_total(
         self,
@@ -385,9 +382,10 @@ class JointConstraints:
         states_b: tuple[Array, Array, Array],
         share: float,
     ) -> Array:
-        """Total design derivative of the derivative of Phi_q^T lam along (share, dq).
+        """Return the total design derivative of the derivative of Phi_q^T lam along (share, dq).
 
-        States are q, dq and lam. What the rate is at rest belongs to time.
+        States are q, dq and lam at one time, `states_b` their design derivatives. The rate at dq =
+        0 is the part due to time and is multiplied by `share`.
         """
         (q, dq, lam), (q_b, dq_b, lam_b) = states, states_b
         total = self.total(t, (q, dq), (q_b, dq_b), (lam, lam_b))
@@ -398,7 +396,10 @@ class JointConstraints:
     def force_along_pull_back(
         self, t: float, states: tuple[Array, Array, Array], share: float, mu: Array
     ) -> Array:
-        """Design partial of mu . the derivative of Phi_q^T lam along (share, dq), shape (n_b,)."""
+        """Return mu^T d/db of the derivative of Phi_q^T lam along (share, dq), (n_b,).
+
+        The design partial is at fixed states q, dq and lam, at one time.
+        """
         q, dq, lam = (x[None] for x in states)
         time, moved = np.array([t]), q + 1j * STEP * mu
         total = self._pulled(time, (moved, dq), lam)
@@ -407,11 +408,11 @@ class JointConstraints:
         return total - (1 - share) * self._pulled(time, (moved, 0 * dq), lam)
 
     def _pulled(self, t: Array, motion: tuple[Array, ...], weights: Array) -> Array:
-        """Design partial of the imaginary part of weights . Phi, or its rate, of all instants."""
+        """Return d/db of weights . Phi, or of its rate, summed over times, by an imaginary step."""
         if not self.active:
             return np.zeros(self.n_b)
         factors = self.factors.over(t, len(motion))
-        on_l, on_c = constraint_gradient(self.plan, factors, weights, *motion)
+        on_l, on_c = self.plan.gradient(factors, weights, *motion)
         return self._partials.contract(on_l.imag / STEP, on_c.imag / STEP, t)
 
     def total(
@@ -421,9 +422,9 @@ class JointConstraints:
         motion_b: Sequence[Array] | None,
         multipliers: tuple[Array, Array] | None = None,
     ) -> Array:
-        """Total design derivative of Phi, or of Phi_q^T lam, or of its rate, at one instant.
+        """Return the total design derivative of Phi, Phi_q^T lam or its rate, at one time.
 
-        Without derivatives of the motion it is partial: the motion is held.
+        If `motion_b` is None it is the partial derivative at fixed motion.
         """
         states = tuple(x[None] for x in motion)
         rows = None if motion_b is None else tuple(x.T[None] for x in motion_b)
@@ -437,14 +438,17 @@ class JointConstraints:
         motion_b: tuple[Array, ...] | None = None,
         multipliers: tuple[Array, Array | None] | None = None,
     ) -> Array:
-        """Return `total` at many instants, (k, n, n_b); derivatives given are rows."""
+        """Return `total` at times t, shape (k, n, n_b).
+
+        The derivatives of the motion and of multipliers are given as rows, (k, n_b, n).
+        """
         orders, (lam, lam_b) = len(motion), multipliers or (None, None)
         if motion_b is None and not self.active:
             n = self.structure.n_lam if lam is None else motion[0].shape[1]
             return np.zeros((len(t), n, self.n_b))
         factors = self.factors.spread(t, orders)
         factors_b = self.factors.partials(t, orders, self.n_b)
-        total = constraint_totals(
-            self.plan, self._partials.arrays, factors, factors_b, lam, lam_b, motion, motion_b
+        total = self.plan.totals(
+            self._partials.arrays, factors, factors_b, lam, lam_b, motion, motion_b
         )
         return np.swapaxes(total, 1, 2)

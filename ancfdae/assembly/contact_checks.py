@@ -1,15 +1,15 @@
-"""Contacts that the steps of a run do not resolve, or that a load does not list.
+"""Checks for contacts that the steps of a run do not resolve, or that a load leaves out.
 
-The forces of a load of contact are looked at on each body and each node of a beam by itself, in the
+The forces of a contact load are examined on each body and each node of a beam by itself, in the
 norm of W^(-1/2), W the weights of the coordinates, so that impulses are changes of W^(1/2) v. A
-contact is a row of time points with a force F_k on one of them. It is resolved if
+contact is a row of time points with a force F_k on one body or node. It is resolved if
 
     n = (sum of F_k)^2 / (sum of F_k^2)
 
-is `_FEWEST` at least: the number of time points over which its impulse is spread. Contacts that a
-step passes over between two time points are searched for by `passed_contacts`. A contact counts if
-its impulse is `_SMALL` at least of the largest momentum, or impulse of a contact, that the body or
-node has in the run.
+is at least `_FEWEST`: the number of time points over which its impulse is spread. Contacts that a
+step passes over between two time points are found by `passed_contacts`. A contact counts if its
+impulse is at least `_SMALL` of the largest momentum, or contact impulse, that the body or node has
+in the run.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ from ancfdae.model.loads.pair_contact import PairContact
 from ancfdae.model.parts import Elements
 from ancfdae.numerics.arrays import Array
 
-# Time points over which an impulse must be spread: the speed after a free impact is then wrong by
-# 5 % at most, by HHT and Radau (docs/theory/19-contact.md).
+# Number of time points over which an impulse must be spread: the speed after a free impact then
+# errs by 5 % at most, by HHT and Radau (docs/theory/19-contact.md).
 _FEWEST: Final = 6.0
-# Contacts with less than this part of the momentum of a body do not count.
+# Impulse over largest momentum of a body below which a contact does not count.
 _SMALL: Final = 0.01
-# Part of its duration over which the impulse of a free impact is spread, undamped and with m = 1.5.
+# Fraction of its duration over which the impulse of a free impact is spread (undamped, m = 1.5).
 _SPREAD: Final = 0.8
-# Numbers of states that are looked at together.
+# Largest number of entries of states that are examined at once.
 _ROOM: Final = 2**20
 
 
 class Groups(NamedTuple):
-    """Bodies and nodes of beams: the first coordinate of each, roots of weights, and names."""
+    """Groups of coordinates, bodies or beam nodes: first coordinate, root of weights, names."""
 
     starts: Array
     root: Array
@@ -50,7 +50,7 @@ class Groups(NamedTuple):
 
     @staticmethod
     def of(numbering: Numbering, weights: Array) -> Groups:
-        """Return the groups of a scene; states of controllers are one more."""
+        """Return the groups of a scene; the states of all controllers are one more group."""
         starts, d = numbering.positions * numbering.d, numbering.d
         names = [body.name for body in numbering.bodies for _ in body.positions]
         if len(numbering.masses):
@@ -59,11 +59,11 @@ class Groups(NamedTuple):
         return Groups(starts, np.sqrt(weights), tuple(names))
 
     def momenta(self, v: Array) -> Array:
-        """Return the sizes of W^(1/2) v of each group, (k, n_q) to (k, n)."""
+        """Return the norms of W^(1/2) v of each group, shape (k, n), for v, (k, n_q)."""
         return self._sizes(v * self.root)
 
     def forces(self, Q: Array) -> Array:
-        """Return the sizes of W^(-1/2) Q of each group, (k, n_q) to (k, n)."""
+        """Return the norms of W^(-1/2) Q of each group, shape (k, n), for Q, (k, n_q)."""
         return self._sizes(Q / self.root)
 
     def of_coordinates(self, columns: Array) -> Array:
@@ -75,7 +75,7 @@ class Groups(NamedTuple):
 
 
 class _Suspect(NamedTuple):
-    """A contact that is not resolved if its impulse counts, with the group that it acts on."""
+    """A contact that is not resolved, if its impulse counts, with the group that it acts on."""
 
     begin: float
     impulse: float
@@ -85,7 +85,7 @@ class _Suspect(NamedTuple):
 
 @final
 class RunContacts(ContactRecord):
-    """The contacts of one run, by all loads of a scene that touch."""
+    """Record of the contacts of one run, by all contact loads of a scene."""
 
     def __init__(
         self,
@@ -105,7 +105,7 @@ class RunContacts(ContactRecord):
         self._last: tuple[Array, Array, Array] | None = None
 
     def follow(self, t: Array, q: Array, v: Array) -> None:
-        """Look at the next states of the run; states that were looked at are left out."""
+        """Examine the next states of the run; states that were examined already are skipped."""
         states = t, q.real, v.real
         if self._last is not None:
             # At the last time, if it comes again, velocities may have jumped.
@@ -123,7 +123,7 @@ class RunContacts(ContactRecord):
         self._last = tuple(x[-1:].copy() for x in states)  # type: ignore[assignment]
 
     def passes(self, t: Array, q: Array, v: Array) -> bool:
-        """Whether surfaces touch between two time points, (2,), at neither of which they do."""
+        """Whether surfaces touch between two time points, (2,), but at neither of them."""
         return any(load.passes((t, q.real, v.real)) for load in self._loads)
 
     def _look(self, states: tuple[Array, Array, Array], begin: bool) -> None:
@@ -135,14 +135,14 @@ class RunContacts(ContactRecord):
             pairs.follow(*states)
 
     def missed(self) -> MissedContact | None:
-        """Return the first contact that the run misses, None if it misses none."""
+        """Return the first contact that the run does not resolve, or None."""
         found = [*(x.missed() for x in self._loads), *(x.missed() for x in self._pairs)]
         return min((x for x in found if x is not None), default=None, key=lambda x: x.time)
 
 
 @final
 class _LoadContacts:
-    """The contacts of one load, on each group; `scale` is the largest momentum or impulse."""
+    """Contacts of one load, on each group; `scale` is the largest momentum or impulse, (n,)."""
 
     def __init__(self, load: MovingLoad, groups: Groups, scale: Array) -> None:
         self._load, self._groups, self._scale = load, groups, scale
@@ -152,7 +152,7 @@ class _LoadContacts:
         self._suspects = list[_Suspect]()
 
     def follow(self, states: tuple[Array, Array, Array], begin: bool) -> None:
-        """Look at states that follow each other, the first of which was looked at before."""
+        """Examine consecutive states, the first of which was examined before."""
         t, q, v = states
         F = self._groups.forces(self._load.force(q, v, t).real)
         for group in np.flatnonzero(np.any(F != 0, axis=0)).tolist():
@@ -161,7 +161,7 @@ class _LoadContacts:
             self._add_passed(each)
 
     def passes(self, states: tuple[Array, Array, Array]) -> bool:
-        """Whether surfaces touch between time points, of a load that says how deep they lie."""
+        """Whether surfaces touch between time points only; False for loads without a depth."""
         if not isinstance(self._load.item.load, ContactLoad):
             return False
         t, q, v = states
@@ -170,7 +170,7 @@ class _LoadContacts:
         return any(np.any(self._counts(slice(None), each.impulses)) for each in found)
 
     def _rows(self, group: int, t: Array, F: Array, begin: bool) -> None:
-        """Add the forces on a group to its contacts, and judge those that end."""
+        """Add the contact forces on a group to its contacts, and check contacts that end."""
         rows = np.stack([F[1:], F[1:] ** 2, np.diff(t) * (F[:-1] + F[1:]) / 2, F[1:] != 0])
         if begin and F[0]:
             self._open[:, group] = F[0], F[0] ** 2, 0.0, 1.0
@@ -190,7 +190,7 @@ class _LoadContacts:
         self._scale[group] = max(self._scale[group], impulse)
 
     def _close(self, group: int, end: float) -> None:
-        """Judge a contact that ended; one in which the run begins may be longer than that."""
+        """Check a contact that ended, unless the run began in it and it may have lasted longer."""
         begin, (total, squares, impulse, points) = float(self._begin[group]), self._open[:, group]
         self._scale[group] = max(self._scale[group], impulse)
         spread = total**2 / squares
@@ -216,7 +216,7 @@ class _LoadContacts:
         return np.asarray(impulse > _SMALL * self._scale[group])
 
     def missed(self) -> MissedContact | None:
-        """Return the first contact that is not resolved and counts."""
+        """Return the first contact of this load that is not resolved and counts, or None."""
         bad = [x for x in self._suspects if self._counts(x.group, x.impulse)]
         if not bad:
             return None
@@ -227,7 +227,7 @@ class _LoadContacts:
 
 
 def _remedy(spread: float) -> str:
-    """Say what helps a contact whose impulse is spread over this time, s."""
+    """Return the remedy in words for a contact whose impulse is spread over this time, s."""
     return (
         f"Take steps of {spread / 8:.2g} s in HHT or {spread / 4:.2g} s in Radau, error control "
         "with a smaller rtol than before, as in HHT(rtol=1e-5), or a softer contact."

@@ -1,4 +1,4 @@
-"""Elastic and internal damping forces of all elements that deform, with design derivatives."""
+"""Elastic and internal damping forces of all flexible elements, with design derivatives."""
 
 from __future__ import annotations
 
@@ -11,18 +11,7 @@ import numpy as np
 from ancfdae.assembly.block import ElementBlock
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
-from ancfdae.kernels import (
-    Block,
-    force_partials,
-    force_totals,
-    forces,
-    forces_along,
-    lifted,
-    relative,
-    strain,
-    stressed,
-    tangents,
-)
+from ancfdae.kernels import Block, strain, stressed
 from ancfdae.model.elements import cable, elastic
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import SparsityPattern
@@ -31,11 +20,11 @@ from ancfdae.numerics.patterns import SparsityPattern
 @final
 @dataclass(frozen=True, eq=False)
 class ElementPlaces:
-    """Places of the elements that deform among coordinates and matrix entries, whatever their laws.
+    """Indices of the flexible elements among coordinates and matrix entries.
 
-    `vectors`, (n, n_a), are those of the numbering, `coordinates`, (n, n_a d), theirs. Entry by
-    entry the tangent of an element has the places `index`, (n, (n_a d)^2), among `size` values of
-    the system's pattern.
+    `vectors`, (n, n_a), are the node vectors of the elements and `coordinates`, (n, n_a d), their
+    coordinates. `index`, (n, (n_a d)^2), are the indices of the entries of an element tangent among
+    the `size` values of the system's pattern.
     """
 
     vectors: Array
@@ -47,7 +36,7 @@ class ElementPlaces:
 
     @staticmethod
     def of(numbering: Numbering, pattern: SparsityPattern) -> ElementPlaces:
-        """Return the places on a pattern that holds the entries of every element."""
+        """Return the elements' indices for a pattern that contains their tangents' entries."""
         vectors, d = numbering.vectors, numbering.d
         n, width = len(vectors), vectors.shape[1] * d
         at = numbering.coordinates(vectors).reshape(n, width)
@@ -57,10 +46,10 @@ class ElementPlaces:
 
 @final
 class ElasticForces:
-    """Generalised elastic forces Q_s and their partials.
+    """Generalised elastic and internal damping forces Q_s and their partials.
 
-    States are given as rows of an array (k, n_q), one per instant. `tangent_places` are the
-    elements, and where their tangents stand on the system's pattern.
+    States are rows of an array (k, n_q), one per time. `tangent_places` are the elements, and the
+    indices of their tangents on the system's pattern.
     """
 
     def __init__(
@@ -78,7 +67,7 @@ class ElasticForces:
 
     @cached_property
     def _law_b(self) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """Derivatives of the law in the variables, pairs in the order `force_totals` asks for."""
+        """Derivatives of element invariants in design variables, in the order of `force_totals`."""
         order = np.lexsort((self._pair_variable, self._pair_element))
         places = np.arange(len(self._places.vectors) + 1)
         first = np.searchsorted(self._pair_element[order], places)
@@ -87,89 +76,89 @@ class ElasticForces:
 
     @property
     def damped(self) -> bool:
-        """Whether a material is damped, so that forces depend on velocities."""
+        """Whether an element has internal damping, so that forces depend on velocities."""
         return self._block.tau is not None
 
     def round_off(self, q: Array, weights: Array) -> float:
-        """Size of the round-off in Q_s near a configuration, one instant.
+        """Return the norm of the round-off in Q_s near the configuration q, (n_q,).
 
-        Relative node vectors carry eps |q| each, and forces the tangent times that; all terms
-        by their magnitude, in the norm sqrt(sum Q^2 / weights).
+        Relative node vectors have round-off eps |q|, and forces the tangent times that, all terms
+        by their magnitude. The norm is sqrt(sum Q^2 / weights).
         """
         places, (n, size) = self._places.coordinates, self._places.coordinates.shape
         if not n:
             return 0.0
         apart = np.arange(n * size**2, dtype=np.int32).reshape(n, size**2)
-        block = self._elements
+        block, its = self._block, self._places
         bending = None if block.bending is None else block.bending.real
-        real = block._replace(A=block.A.real, g_o=block.g_o.real, bending=bending, tau=None)
-        K = np.abs(tangents(real, q.real, None, False, apart, apart.size)).reshape(n, size, size)
+        real = Block(block.A.real, block.g_o.real, bending, None, its.vectors, its.d, its.n_q)
+        K = np.abs(real.tangents(q.real, None, False, apart, apart.size)).reshape(n, size, size)
         F = np.matmul(K, np.abs(q)[places][..., None])
         Q = np.finfo(float).eps * np.bincount(places.ravel(), F.ravel(), minlength=len(q))
         return float(np.sqrt(np.sum(Q * Q / weights)))
 
     def relative(self, q: Array) -> Array:
-        """Relative node vectors of all elements, shape (k, n, n_y, d)."""
-        return relative(self._elements, q)
+        """Return the relative node vectors of all elements, shape (k, n, n_y, d)."""
+        return self._elements.relative(q)
 
     def internal(self, q: Array, v: Array) -> Array:
-        """-Q_s for one instant, shape (n_q,), or for rows."""
-        return forces(self._elements, q, v if self.damped else None)
+        """Return -Q_s, shape (n_q,) for one time, or (k, n_q) for rows."""
+        return self._elements.forces(q, v if self.damped else None)
 
     def internal_q(self, q: Array, v: Array) -> Array:
-        """Values of -(Q_s)_q on the pattern, shape (k, nnz)."""
+        """Return the values of -(Q_s)_q on the pattern, shape (k, nnz)."""
         v_or_none = v if self.damped else None
-        return tangents(self._elements, q, v_or_none, False, self._places.index, self._places.size)
+        return self._elements.tangents(q, v_or_none, False, self._places.index, self._places.size)
 
     def internal_v(self, q: Array) -> Array:
-        """Values of -(Q_s)_v on the pattern, shape (k, nnz); only if `damped`."""
-        return tangents(self._elements, q, None, True, self._places.index, self._places.size)
+        """Return the values of -(Q_s)_v on the pattern, shape (k, nnz); only if `damped`."""
+        return self._elements.tangents(q, None, True, self._places.index, self._places.size)
 
     def totals(self, q: Array, v: Array) -> Array:
-        """-Q_s at the first of the rows of q and v, and total design derivatives along the others.
+        """Return -Q_s and its total design derivatives, shape (1 + n_b, n_q).
 
-        Shape (1 + n_b, n_q), as q and v.
+        The first rows of q and v are the state, the others its design derivatives.
         """
-        return force_totals(self._elements, q, v if self.damped else None, *self._law_b)
+        return self._elements.force_totals(q, v if self.damped else None, self._law_b)
 
     def _along(self, states: tuple[Array, Array], rates: tuple[Array, Array]) -> Array:
-        """Return derivatives of -Q_s along rows of rates of q and v, shape (k, n_q)."""
+        """Return the derivatives of -Q_s along rows of rates of q and v, shape (k, n_q)."""
         (q, v), (u, z) = states, rates
         if not self.damped:
-            return forces_along(self._elements, q, None, u, None)
-        return forces_along(self._elements, q, v, u, z)
+            return self._elements.forces_along(q, None, u, None)
+        return self._elements.forces_along(q, v, u, z)
 
     def force_b(self, q: Array, v: Array) -> Array:
-        """Design partials of minus the elastic forces, shape (k, n_q, n_b)."""
+        """Return the design partials of -Q_s, shape (k, n_q, n_b)."""
         return -self._partials(q, v, None).mT
 
     def tangent_rates(
         self, q: Array, v: Array, rates: tuple[Array, Array]
     ) -> tuple[Array, Array | None]:
-        """Time derivatives of (Q_s)_q and (Q_s)_v of one instant along rates of q and v."""
+        """Return the time derivatives of (Q_s)_q and (Q_s)_v at one time along rates of q and v."""
         moved = [(x + 1j * STEP * rate)[None] for x, rate in zip((q, v), rates, strict=True)]
         rate_q = -self.internal_q(moved[0], moved[1]).imag / STEP
         return rate_q, -self.internal_v(moved[0]).imag / STEP if self.damped else None
 
     def pull_back_rate(self, q: Array, v: Array, rates: tuple[Array, Array], mu: Array) -> Array:
-        """Time derivative of `pull_back` of one instant along rates of q and v, mu held."""
+        """Return the time derivative of `pull_back` at one time along rates of q and v."""
         return -self._partial_rates(q, v, rates, mu[None])
 
     def pull_back(self, q: Array, v: Array, mu: Array) -> Array:
-        """Sum over instants of (Q_s)_b^T mu, shape (n_b,); mu has shape (k, n_q)."""
+        """Return the sum over times of (Q_s)_b^T mu, shape (n_b,); mu has shape (k, n_q)."""
         return -self._partials(q, v, mu)
 
     def force_along(self, states: tuple[Array, Array], rates: tuple[Array, Array]) -> Array:
-        """Differentiate Q_s of one instant along rates of q and v, shape (n_q,)."""
+        """Return the derivative of Q_s at one time along rates of q and v, shape (n_q,)."""
         u, z = rates
         return -only(self._along(states, (u[None], z[None])))
 
     def force_along_total(
         self, states: tuple[Array, ...], rates: tuple[Array, ...], moved_by: tuple[Array, ...]
     ) -> Array:
-        """Total design derivative of `force_along`, shape (n_q, n_b).
+        """Return the total design derivative of `force_along`, shape (n_q, n_b).
 
-        `moved_by` are the derivatives of the states and of the rates.
+        `moved_by` are the design derivatives of the states and of the rates.
         """
         q, v = states
         total = only(self._partial_rates(q, v, (rates[0], rates[1]), None)).T
@@ -179,35 +168,35 @@ class ElasticForces:
         return -(total + along)
 
     def _partials(self, q: Array, v: Array, mu: Array | None) -> Array:
-        """Return design partials of -Q_s, (k, n_b, n_q), or the sum of their products with mu."""
+        """Return the design partials of -Q_s, (k, n_b, n_q), or their products with mu, summed."""
         v_or_none = v if self.damped else None
-        return force_partials(self._elements, q, v_or_none, mu, *self._law_b, self._n_b)
+        return self._elements.force_partials(q, v_or_none, mu, self._law_b, self._n_b)
 
     def _partial_rates(
         self, q: Array, v: Array, rates: tuple[Array, Array], mu: Array | None
     ) -> Array:
-        """Return derivatives of `_partials` of one instant along rates of q and v."""
+        """Return the derivatives of `_partials` at one time, along rates of q and v."""
         moved = [(x + 1j * STEP * rate)[None] for x, rate in zip((q, v), rates, strict=True)]
         return np.asarray(self._partials(moved[0], moved[1], mu).imag / STEP)
 
     # -- energies ------------------------------------------------------------------------------
 
     def energies(self, q: Array) -> Array:
-        """Strain energy of every element, shape (k, n)."""
+        """Return the strain energy of every element, shape (k, n); J."""
         block = self._block
         return elastic.energy(block.A, block.g_o, self.relative(q), block.bending)
 
     def energy_q(self, q: Array, chosen: Array) -> Array:
-        """Gradient of the energy of the chosen elements, shape (k, n_q)."""
+        """Return the gradient of the strain energy of the chosen elements, shape (k, n_q)."""
         block, Y = self._block, self.relative(q)
         p = elastic.apply_invariant(block.A, strain(block.g_o, Y, None, None))
         F = stressed(p * chosen[:, None], Y)
         if block.bending is not None:
             F = F + chosen[:, None, None] * cable.curvature_forces(block.bending, Y)
-        return lifted(self._elements, F)
+        return self._elements.lifted(F)
 
     def energy_b(self, q: Array, chosen: Array) -> Array:
-        """Design partial of the energy of the chosen elements, shape (k, n_b)."""
+        """Return the design partial of the strain energy of the chosen elements, shape (k, n_b)."""
         block, pairs = self._block, self._pair_element[: self._stiff]
         Y, its = self.relative(q), block.partials
         dg = strain(block.g_o, Y, None, None)[:, pairs]

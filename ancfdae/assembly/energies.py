@@ -1,10 +1,9 @@
 """Energies, momenta and powers of a scene and of its parts; rows are time points.
 
-Power of driven joints and of loads, with its partials; prepared when it is first asked for.
-
-A joint exerts -Phi_q^T lam, and Phi_q v = -Phi_t: its power is lam . Phi_t. A law x(t) enters it by
-its rate, Phi_t = Phi_x x', so that lam . Phi_x, the power at x' = 1, is what does work on x. The
-power of a load is F . V, the forces on its vectors times their rates.
+A joint exerts -Phi_q^T lam, and Phi_q v = -Phi_t: its power is lam . Phi_t. A law x(t) enters by
+its rate, Phi_t = Phi_x x', so that lam . Phi_x, the power at x' = 1, is the force or torque on x.
+The power of a load is F . V, the forces on its vectors times their rates. Evaluators are prepared
+on first use.
 """
 
 from collections.abc import Callable
@@ -35,10 +34,10 @@ from ancfdae.numerics.patterns import SparsityPattern
 
 @final
 class JointWork:
-    """Power of one driven joint, as it is or `at_unit_rate`, with its multipliers' first row."""
+    """Evaluator of the power of one driven joint, for its own law or `at_unit_rate`."""
 
     def __init__(self, item: JointInput, vectors: Vectors, first_row: int) -> None:
-        # The last equations hold the shape of sections, whatever the time.
+        # The last equations keep right angles of sections and do not depend on time.
         c = item.joint.coefficients(item.p, item.reference)
         moving = len(c.offset) - len(c.shapes)
         alone = replace(item, dropped=tuple(range(moving, len(c.offset))))
@@ -48,31 +47,31 @@ class JointWork:
         self.rows = slice(first_row, first_row + moving)
 
     def value(self, t: Array, q: Array, lam: Array) -> Array:
-        """Return lam . Phi_t or lam . Phi_x, shape (k,); lam has the multipliers of all joints."""
+        """Return the power lam . Phi_t, W, or lam . Phi_x, shape (k,); lam of all joints."""
         return self._constraints.works(q, lam[:, self.rows], t)
 
     def partials(self, t: Array, q: Array, lam: Array) -> tuple[Array, Array, Array]:
-        """Return partial derivatives by q, the multipliers of `rows` and b; shape (k, n) each."""
+        """Return the power's partials in q, in multipliers of `rows`, and in b; (k, n) each."""
         return self._constraints.works_partials(q, lam[:, self.rows], t)
 
 
 @final
 @dataclass(frozen=True)
 class _UnitRate(Law):
-    """A law with its own values and a rate of one, at every instant."""
+    """A law with the values of another law and a rate of one at all times."""
 
     law: Law
 
     design_fields = (("law", require_law),)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Return the law with its rates replaced by 1, 0, 0, so that a power is per unit rate."""
+        """Return the value of the law, or 1, 0, 0 for its time derivatives of order 1, 2, 3."""
         x = self.law.derivative(p, t, 0)
         return x if order == 0 else np.full_like(x, float(order == 1))
 
 
 def at_unit_rate(joint: Joint) -> Joint:
-    """Return the joint with its law at a rate of one."""
+    """Return the joint with all its laws at a rate of one."""
     values = {each.name: getattr(joint, each.name) for each in fields(joint)}
     laws = {name: _UnitRate(law) for name, law in values.items() if isinstance(law, Law)}
     return replace(joint, **laws)  # type: ignore[arg-type]
@@ -83,7 +82,7 @@ def at_unit_rate(joint: Joint) -> Joint:
 class LoadFunction:
     """A function of the state of one load, such as its power, with partials by complex steps.
 
-    `of` takes the load, its vectors U and V, and its law and signals at the times, (k, 1 + n).
+    `of` takes the load, its vectors U and V, and its law and signals at k times, (k, 1 + n).
     """
 
     item: LoadInput
@@ -91,11 +90,11 @@ class LoadFunction:
     of: Callable[[LoadInput, Array, Array, Array], Array]
 
     def value(self, t: Array, q: Array, v: Array) -> Array:
-        """Return the function in k states, shape (k,)."""
+        """Return the load's power or energy in k states, shape (k,)."""
         return self._value(self.item, t, q, v)
 
     def partials(self, t: Array, q: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Return partial derivatives with respect to q, v and b; shape (k, n) each."""
+        """Return partials of the load's power or energy in q, v and b; shape (k, n) each."""
         item, b = self.item, np.zeros((len(t), self.n_b))
         U, V, factors = item.vectors.of(q), item.vectors.of(v), item.factors(t, 0)
         shape = U.shape[1:]
@@ -114,7 +113,7 @@ class LoadFunction:
 
 
 def power(item: LoadInput, U: Array, V: Array, factors: Array) -> Array:
-    """Return F . V over the leading axes, without the vectors of states; W."""
+    """Return the power F . V of a load, shape of the leading axes, without its states; W."""
     n = U.shape[-2] - len(item.masses)
     factor = np.broadcast_to(factors[:, 0], U.shape[:-2])
     F = item.forces(U, V, factors[:, 1:])
@@ -122,14 +121,14 @@ def power(item: LoadInput, U: Array, V: Array, factors: Array) -> Array:
 
 
 def stored(item: LoadInput, U: Array, V: Array, factors: Array) -> Array:
-    """Return the elastic energy of a load over the leading axes of U, shape (...); J."""
+    """Return the elastic energy of a load, shape of the leading axes of U; J."""
     energy = item.load.energy(U, item.p, item.reference)
     return np.asarray(np.broadcast_to(factors[:, 0], U.shape[:-2]) * energy)
 
 
 @final
 class Works:
-    """Power of driven joints and of loads, and energy of springs, by name."""
+    """Evaluators of the power of driven joints and loads and the energy of springs, by name."""
 
     def __init__(self, scene: Scene, inputs: PartInputs, layout: Layout, n_b: int) -> None:
         self._scene, self._inputs, self._layout, self._n_b = scene, inputs, layout, n_b
@@ -138,7 +137,10 @@ class Works:
         self._springs: dict[str, LoadFunction] = {}
 
     def of_joint(self, name: str, unit_rate: bool) -> JointWork:
-        """Return the evaluator of the power of a driven joint, or, at unit rate, of its force."""
+        """Return the evaluator of the power of a driven joint, or, at unit rate, of its force.
+
+        Raises InvalidInputError for a joint without a driver.
+        """
         key = name, unit_rate
         if key not in self._joints:
             place = self._layout.joint(name)
@@ -161,16 +163,16 @@ class Works:
         return self._joints[key]
 
     def of_load(self, name: str) -> LoadFunction:
-        """Return the evaluator of the power of a load; raise UnknownNameError."""
+        """Return the evaluator of the power of a load; UnknownNameError if it is missing."""
         if (name, None) not in self._loads:
             load = named("load", name, self._scene.loads)
             self._loads[name, None] = LoadFunction(self._inputs.load(load), self._n_b, power)
         return self._loads[name, None]
 
     def of_springs(self, name: str | None) -> list[LoadFunction]:
-        """Return evaluators of the energy of one load, or of every load that stores energy.
+        """Return the evaluators of the energy of one load, or of all loads that store energy.
 
-        Raises UnknownNameError, and InvalidInputError for a load that stores none.
+        Raises UnknownNameError, and InvalidInputError for a load that stores no energy.
         """
         its = [named("load", name, self._scene.loads)] if name is not None else self._scene.loads
         for load in its:
@@ -181,9 +183,9 @@ class Works:
         return [self._springs[x.name] for x in its if x.name in self._springs]
 
     def of_effort(self, name: str, axis: int) -> LoadFunction:
-        """Return the evaluator of the effort of a controller on an axis, or a tension of a rope.
+        """Return the evaluator of an effort of a controller, or of a tension of a rope.
 
-        Raises UnknownNameError, and InvalidInputError for an axis or span that it does not have.
+        Raises UnknownNameError, and InvalidInputError for an axis or span that does not exist.
         """
         if (name, axis) not in self._loads:
             able = [load for load in self._scene.loads if load.has_efforts]
@@ -202,10 +204,10 @@ class Works:
 
 @final
 class Energies:
-    """Strain and kinetic energy of everything, or of one owner: a beam, a body, a point mass.
+    """Strain, kinetic and potential energies of a scene, or of one beam, body or point mass.
 
-    The layout knows the owners by name. `places`, shape (n_q / d,), is one for vectors that are
-    positions, zero for slopes. `centrifugal` is the potential of a turning frame.
+    `places`, shape (n_q / d,), is one for vectors that are positions, zero for slopes.
+    `centrifugal` is the potential of a rotating frame.
     """
 
     def __init__(
@@ -221,7 +223,7 @@ class Energies:
         self._owners, self._layout, self.places = numbering.owners, layout, inertia.positions
 
     def strain(self, q: Array, owner: str | None = None) -> Array:
-        """Return the strain energy, shape (k,)."""
+        """Return the strain energy of the scene or of an owner, shape (k,); J."""
         return self._elastic.energies(q) @ self._chosen(owner)
 
     def strain_q(self, q: Array, owner: str | None = None) -> Array:
@@ -233,14 +235,14 @@ class Energies:
         return self._elastic.energy_b(q, self._chosen(owner))
 
     def kinetic(self, v: Array, owner: str | None = None) -> Array:
-        """Return the kinetic energy (eq. 9), shape (k,)."""
+        """Return the kinetic energy (eq. 9) of the scene or of an owner, shape (k,); J."""
         return 0.5 * np.sum(v * self.momenta(v, owner), axis=1)
 
     def momenta(self, v: Array, owner: str | None = None) -> Array:
-        """Return M v, the gradient of `kinetic`, shape (k, n_q)."""
+        """Return M v of the scene or of an owner, the gradient of `kinetic`, shape (k, n_q)."""
         if owner is None:
             p = self._inertia.times(v.T).T
-            p[:, len(p.T) - self._of_states :] = 0.0  # Their masses are no masses of bodies.
+            p[:, len(p.T) - self._of_states :] = 0.0  # Masses of states are no masses of bodies.
             return p
         return self._inertia.owner_times(v, self._layout.owner(owner))
 
@@ -250,20 +252,20 @@ class Energies:
         return 0.5 * self._inertia.quadratic_b(v, number)
 
     def gravity(self, q: Array) -> Array:
-        """Return the potential of gravity, zero at q = 0, shape (k,)."""
+        """Return the potential energy of gravity, zero at q = 0, shape (k,); J."""
         return -np.asarray(q @ self._inertia.gravity)
 
     def gravity_b(self, q: Array) -> Array:
-        """Return the design derivatives of the potential of gravity, shape (k, n_b)."""
+        """Return the design derivatives of the potential energy of gravity, shape (k, n_b)."""
         return -np.asarray(q @ self._inertia.gravity_b)
 
     def total(self, q: Array, v: Array) -> Array:
-        """Return kinetic and strain energy and the potentials together, shape (k,)."""
+        """Return the sum of kinetic, strain and potential energies, shape (k,); J."""
         total = self.kinetic(v) + self.strain(q) + self.gravity(q)
         return total if self._centrifugal is None else total + self._centrifugal(q)
 
     def _chosen(self, owner: str | None) -> Array:
-        """One for the elements of an owner, or for all, that deform, shape (n,)."""
+        """Return one for the flexible elements of an owner, or of the scene, else 0, shape (n,)."""
         if owner is None:
             return np.ones(len(self._owners))
         return np.asarray(self._owners == self._layout.owner(owner), dtype=float)

@@ -1,21 +1,23 @@
-"""Elements that are folded, too few, or strained too far: inside out, bent back, crushed, curved.
+"""Checks of elements: folded, too few, or strained beyond the validity of their laws.
 
-Energies are polynomials of the coordinates, finite where the body passes through itself, so that
-an equation of balance has solutions that no body can have. Of an element, with
-F = (dr/dX) at a point of its axis or of the outline of its section, such a solution has
+Energies are polynomials of the coordinates, finite even if the body passes through itself, so that
+equilibrium equations have solutions that no body can have. For an element, with F = (dr/dX) at a
+point of its axis or of the outline of its section, such a solution has
 
     det F <= 0                        a section that is turned inside out,
     |r_x|^2 <= (1 - 2 eps_i)/3        an axis in compression beyond the largest force of the law,
     r_x . (r_2 - r_1) <= 0            a cable, without section, bent by more than half a circle.
 
-N = E A lambda (lambda^2 - lambda_f^2)/2 of a stretch lambda, lambda_f that of the axis free of
-stress, is least at lambda^2 = lambda_f^2/3: a bar that is compressed farther yields to any force.
+N = E A lambda (lambda^2 - lambda_f^2)/2 of a stretch lambda, lambda_f the stretch of the axis free
+of stress, is smallest at lambda^2 = lambda_f^2/3: a bar that is compressed farther yields to any
+force.
 
-The axis of an element is a cubic, which cannot bend without stretching: one that turns by phi has
-a strain of phi^4/1920 in its middle, whatever its length. So of the strain along an element, less
-what is linear in xi (the loads), the energy E A eps^2/2 is an error of the mesh. A wire turns by
-fractions of a radian until that is more than all its bending. Nor is the curvature of a cubic that
-of an arc: the energy of bending errs by up to phi^4/180 (measured; docs/theory/11-statics.md). So
+The axis of an element is a cubic, which cannot bend without stretching: an axis that turns by phi
+has a strain of phi^4/1920 at its middle, whatever its length. So the part of the strain that is not
+linear in xi (loads give the linear part) contributes to E A eps^2/2 an error of the mesh. A wire
+turns by fractions of a radian until this error exceeds its bending energy. Nor has a cubic the
+curvature of an arc: the energy of bending errs by up to phi^4/180 (measured;
+docs/theory/11-statics.md). So
 
     eta = int E A eps_nl^2 + E I kappa^2 phi^4/180 ds / int E I kappa^2 + E A (eps^2 - eps_nl^2) ds
 
@@ -23,10 +25,10 @@ is the error of the stiffness, in a beam without tension 1.2 (l/h)^2 (phi^3/1920
 Both terms grow as phi^4, and phi with the load: at given loads the energy errs by about 5 eta, and
 its derivative in the stiffness or in a load by up to 25 eta.
 
-The laws of beams and cables are linear in Green and Lagrange's strain E = (lambda^2 - 1)/2: a force
-of E A e in a body of Hooke's law in the stretch e = lambda - 1 is 1 + 3 e/2 times as large here.
-The bending of beams errs by about the square of the strain of their outermost fibres, measured on
-half a circle (docs/howto/elements.md); that of cables, M = E I dtheta/ds, does not.
+The laws of beams and cables are linear in Green and Lagrange's strain E = (lambda^2 - 1)/2: where
+Hooke's law in the stretch, e = lambda - 1, gives the force E A e, they give 1 + 3 e/2 times it. The
+bending of beams errs by about the square of the strain of their outermost fibres, measured on half
+a circle (docs/howto/elements.md); the bending of cables, M = E I dtheta/ds, does not.
 """
 
 from __future__ import annotations
@@ -46,32 +48,33 @@ from ancfdae.model.elements.element import tangent_weights
 from ancfdae.model.sections.section import central_moments
 from ancfdae.numerics.arrays import Array
 
-# Places along an element at which it is looked at, nodes included: what is looked at is a
-# polynomial of degree four at most.
+# Locations xi at which an element is checked, nodes included: the quantities checked are
+# polynomials of degree four at most.
 _PLACES = np.linspace(0.0, 1.0, 9)
 _TANGENTS = tangent_weights(_PLACES)
-# Elements of a beam that are named.
+# Largest number of elements of a beam that a message names.
 _NAMED = 3
 # Error of the stiffness above which elements are too few: values err by 2 %, derivatives by 10 %.
 _SHARE = 0.004
 # Error of the energy of bending of an element that turns by phi, over phi^4: the larger one, of
 # beams (5.6e-3; of cables 2.8e-3).
 _ARC = 1 / 180
-# What else is asked, fitted, not derived. Where tension shapes an element, N l^2/EI of the mean
-# element above the first number, as of limp cables, pulls are right whatever the share, until one
-# of the elements turns by more than the second one, in rad: by 20 % and more they err then. Below
-# the third one, of a change of the turn, elements were 3e5 times as long as high; beams that keep
-# their shape have a share of round-off.
+# Further limits, fitted, not derived. If tension shapes the elements, with a mean N l^2/EI above
+# _LIMP, as in limp cables, forces are right whatever eta, until one of the elements turns by more
+# than _TURN, in rad: then they err by 20 % and more. Beams whose elements change their turn by less
+# than _STRAIGHT, in rad, are not checked: eta is then large only for elements 3e5 times as long as
+# high, or by round-off.
 _LIMP, _TURN, _STRAIGHT = 25.0, 0.5, 0.1
-# Strain of a fibre up to which elements are made: of bending it moves a shape by 1 %, its gradient
-# by 2.4 %; of stretching it is 15 % of a force.
+# Largest strain of a fibre for which the laws are valid: in bending it changes a shape by 1 % and
+# its gradient by 2.4 %; in stretching it changes a force by 15 %.
 _STRAIN = 0.1
-# Weights of Boole's rule twice, and what of a strain at the places is not linear in xi.
+# Weights of Boole's rule on two intervals, functions linear in xi, and the projector on the part of
+# a strain that is not linear in xi.
 _WEIGHTS = np.array([7, 32, 12, 32, 14, 32, 12, 32, 7]) / 180.0
 _LINE = np.stack([np.ones(9), np.sqrt(3.0) * (2.0 * _PLACES - 1.0)])
 _BEYOND = np.eye(9) - _LINE.T @ (_LINE * _WEIGHTS)
-# Bernstein's polynomials of degree two and one at the places, (9, 3) and (9, 2); and what products
-# of coefficients of a tangent and of 1, 2 or 4 normals count at them.
+# Bernstein's polynomials of degree two and one at the locations, (9, 3) and (9, 2); and the weights
+# of products of coefficients of a tangent and of 1, 2 or 4 normals at them.
 _QUADRATIC = np.stack([(1 - _PLACES) ** 2, 2 * _PLACES * (1 - _PLACES), _PLACES**2], axis=1)
 _LINEAR = np.stack([1 - _PLACES, _PLACES], axis=1)
 _NORMALS = np.ones((9, 1)), _LINEAR, np.einsum("pj,pk->pjk", _LINEAR, _LINEAR).reshape(9, 4)
@@ -84,9 +87,9 @@ _BERNSTEIN = {
 
 @final
 class Folds:
-    """The elements that deform, as they are folded or not at given coordinates.
+    """Checks of the flexible elements of a scene at given coordinates.
 
-    `parameters`, shape (n, 10), are those of the elements that deform.
+    `parameters`, shape (n, 10), are the parameters of these elements.
     """
 
     def __init__(self, beams: list[BeamBody], numbering: Numbering, parameters: Array) -> None:
@@ -109,7 +112,7 @@ class Folds:
             self._groups.append((own, rows, alike))
 
     def words(self, q: Array) -> str:
-        """Say which elements are folded at coordinates q; empty where none is."""
+        """Return a text naming the elements folded at coordinates q; empty if there are none."""
         Z = q.real.reshape(-1, self._d)
         folded = np.zeros(self._first[-1], dtype=bool)
         for _, rows, group in self._groups:
@@ -120,20 +123,17 @@ class Folds:
         return "; ".join(_in_words(name, own) for name, own in beams if own.any())
 
     def coarse(self, q: Array) -> dict[str, float]:
-        """Return the beams whose elements are too few at coordinates q, with eta of each."""
+        """Return eta, by name, of the beams that have too few elements at coordinates q."""
         return self._above(_SHARE, _Alike.share, q)
 
     def strained(self, q: Array) -> dict[str, float]:
-        """Return the beams that are strained beyond what elements are made for, at coordinates q.
-
-        With each the largest strain of a fibre.
-        """
+        """Return the largest fibre strain, by name, of beams strained beyond the laws' validity."""
         return self._above(_STRAIN, _Alike.strain, q)
 
     def _above(
         self, limit: float, measure: Callable[[_Alike, Array], Array], q: Array
     ) -> dict[str, float]:
-        """Return the beams with a measure above a limit, with the measure of each."""
+        """Return values by beam name, for the beams in which `measure` exceeds `limit`."""
         values, Z = np.zeros(len(self._names)), q.real.reshape(-1, self._d)
         for own, _, group in self._groups:
             values[own] = measure(group, Z)
@@ -141,7 +141,7 @@ class Folds:
 
 
 def _in_words(name: str, folded: Array) -> str:
-    """Name the folded elements of a beam."""
+    """Return a text naming the folded elements of a beam."""
     places = np.flatnonzero(folded)
     some = listed([*map(str, 1 + places[:_NAMED])] + ["others"] * (len(places) > _NAMED))
     return f"{name!r}, element{'s' if len(places) > 1 else ''} {some}"
@@ -149,7 +149,7 @@ def _in_words(name: str, folded: Array) -> str:
 
 @final
 class _Alike:
-    """The elements of one type of some beams; vectors have the shape (n, 2 n_s, d).
+    """Checks of the elements of one type in some beams; vectors have shape (n, 2 n_s, d).
 
     `counts` are the numbers of elements of each beam, whose elements follow each other.
     """
@@ -164,11 +164,11 @@ class _Alike:
         self._free = 1.0 - 2.0 * parameters[:, ElementParameter.INITIAL_STRAIN, None]
         self._has_sections = n_s == self._d + 1
         y, z = kind.section.outline(kind.sizes(parameters))
-        # Distance of the outermost fibres from the axis, of cables none.
+        # Distance of the outermost fibres from the axis; zero for cables.
         reach = [np.max(np.abs(x), axis=1) * self._has_sections for x in (y, z)]
         self._reach = np.stack(reach[: max(1, n_s - 2)], axis=1)
         self._offsets = (y, z)[: self._d - 1]
-        # The reference, of which the chord is given per unit length.
+        # Node vectors of the reference, whose chord is given per unit length.
         start = np.zeros_like(units[:, :1])
         chord = self._lengths[..., None] * units[:, :1]
         X = np.concatenate([start, units[:, 1:n_s], chord, units[:, n_s:]], axis=1)
@@ -176,7 +176,7 @@ class _Alike:
             slopes = X.reshape(-1, 2, self._d + 1, self._d)[:, :, 1:]
             self._upright = np.sign(np.linalg.det(slopes))
         self._stretch_o = self._stretch(self._tangents(X))
-        # Elements of the same numbers have the same section: most beams have one.
+        # Elements with equal parameters have the same section: most beams have one.
         rows, same = np.unique(parameters, axis=0, return_inverse=True)
         y, z, dA = kind.section.points(kind.sizes(rows), False)
         _, moments = central_moments(y, z, dA)
@@ -187,16 +187,16 @@ class _Alike:
         self._bend_o = np.sqrt(self._bends(X))
 
     def _largest(self, x: Array) -> Array:
-        """Return the largest value of each beam, of values of the shape (n, k)."""
+        """Return the largest entry for each beam, (n_beams,), of element values, (n, k)."""
         return np.asarray(np.maximum.reduceat(x.max(axis=1), self._first))
 
     def folded(self, Z: Array) -> Array:
-        """Tell which elements are folded, shape (n,)."""
+        """Return whether each element is folded, shape (n,)."""
         X = Z[self._ends]
         r_x = self._tangents(X)
         crushed = 3.0 * self._stretch(r_x) <= self._free * self._stretch_o
         if self._has_sections:
-            # Those of the reference have one sign along an element.
+            # In the reference the determinants have one sign along an element.
             turned = self._volumes(X, r_x) <= 0
         else:
             chord = X[:, len(X[0]) // 2] - X[:, 0]
@@ -204,14 +204,14 @@ class _Alike:
         return np.asarray((crushed | turned).any(axis=1))
 
     def share(self, Z: Array) -> Array:
-        """Return eta of the module for each beam, (n_beams,); zero where tension suffices."""
+        """Return eta (module docstring) of each beam, (n_beams,); zero where tension dominates."""
         X = Z[self._ends]
         strain = 0.5 * (self._stretch(self._tangents(X)) / self._stretch_o - self._free)
         beyond = strain @ _BEYOND.T
         axial, error = (
             self._EA * self._lengths * (x**2 @ _WEIGHTS)[:, None] for x in (strain, beyond)
         )
-        # Bends of the reference cost nothing; they turn with the element.
+        # The bending of the reference is free of stress and rotates with the element.
         change = np.sqrt(self._bends(X)) - self._bend_o
         bending = self._EI / self._lengths * change**2
         force = np.abs(self._EA * (strain @ _WEIGHTS)[:, None])
@@ -236,7 +236,7 @@ class _Alike:
         return np.asarray(np.where(shaped, error / np.where(shaped, rest, 1.0), 0.0))
 
     def strain(self, Z: Array) -> Array:
-        """Return the largest strain of a fibre of each beam, (n_beams,)."""
+        """Return the largest strain of a fibre in each beam, shape (n_beams,)."""
         X = Z[self._ends]
         stretch = self._stretch(self._tangents(X)) / self._stretch_o
         axial = 0.5 * self._largest(np.abs(stretch - self._free))
@@ -246,9 +246,10 @@ class _Alike:
         return np.maximum(axial, self._largest(np.abs(change / self._lengths * self._reach)))
 
     def _bends(self, X: Array) -> Array:
-        """Return the integral of kappa^2 ds times the length for each axis, shape (n, 1 or 2).
+        """Return the integral of kappa^2 ds times the length about each axis, shape (n, 1 or 2).
 
-        The curvature is linear between the turns of both ends from the chord: 4 (a^2 + a b + b^2).
+        The curvature is linear between the rotations of both ends from the chord: 4 (a^2 + a b +
+        b^2).
         """
         n_s = X.shape[1] // 2
         chord = _unit(X[:, n_s] - X[:, 0])
@@ -263,7 +264,7 @@ class _Alike:
         return np.asarray(4.0 * np.sum(a * a + a * b + b * b, axis=1, keepdims=True))
 
     def _tangents(self, X: Array) -> Array:
-        """Return r_x at the places on the axis, shape (n, n_p, d)."""
+        """Return the tangents r_x of elements at locations on the axis, shape (n, n_p, d)."""
         n_s = X.shape[1] // 2
         parts = np.empty((len(X), 3, X.shape[2]))
         np.subtract(X[:, n_s], X[:, 0], out=parts[:, 0])
@@ -273,14 +274,14 @@ class _Alike:
 
     @staticmethod
     def _stretch(r_x: Array) -> Array:
-        """Return |r_x|^2, shape (n, n_p)."""
+        """Return |r_x|^2 of elements at locations on the axis, shape (n, n_p)."""
         return np.asarray(np.einsum("npd,npd->np", r_x, r_x))
 
     def _volumes(self, X: Array, r_x: Array) -> Array:
-        """Return the least det [r_x, r_y(, r_z)] of the axis and the outline, shape (n, n_p).
+        """Return the smallest det [r_x, r_y(, r_z)] over axis and outline, shape (n, n_p).
 
-        With the normal N = r_y x r_z of the places, in the plane r_y turned back by a right angle,
-        it is (r_x + y r_xy + z r_xz) . N, linear in y and z.
+        With the normal N = r_y x r_z of the section, in the plane r_y rotated back by a right
+        angle, it is (r_x + y r_xy + z r_xz) . N, linear in y and z.
         """
         n_s = X.shape[1] // 2
         first, second = X[:, Quantity.SLOPE_Y : n_s], X[:, n_s + Quantity.SLOPE_Y :]
@@ -305,15 +306,14 @@ class _Alike:
 def first_mirrored(
     numbering: Numbering, ends: Array, parameters: Array | None, q: Array
 ) -> tuple[int, str] | None:
-    """Return the index of the first mirrored, folded or crushed state, and what is, in words.
+    """Return the index of the first mirrored, folded or crushed state, and a message; or None.
 
-    `ends` are vectors of elements, rows of `Numbering.vectors` with their `parameters`, or of rigid
-    bodies, rows of `Numbering.frames` without; q has the shape (k, n_q). An axis is crushed at a
-    node or in the middle of an element (module docstring). Along the axis r_x is
-    quadratic in xi and slopes of the section are linear: det [r_x, r_y(, r_z)] has no root where
-    all products of their Bernstein coefficients have one sign, nor has r_x . (r_2 - r_1) of a
-    cable. Only where signs differ are places along elements looked at. What the first state has is
-    not counted.
+    `ends` are node vectors of elements, rows of `Numbering.vectors` with their `parameters`, or of
+    rigid bodies, rows of `Numbering.frames` without; q has the shape (k, n_q). An axis is crushed
+    at a node or in the middle of an element (module docstring). Along the axis r_x is quadratic in
+    xi and section slopes are linear: det [r_x, r_y(, r_z)] has no root if all products of their
+    Bernstein coefficients have one sign, nor has r_x . (r_2 - r_1) of a cable. Only if signs differ
+    are locations along the element evaluated. Defects of the first state are not counted.
     """
     d, n_s = numbering.d, numbering.widest.n_s
     if parameters is not None and n_s not in (2, d + 1):
@@ -326,7 +326,7 @@ def first_mirrored(
         return None
     # Components first, states last.
     X = np.ascontiguousarray(q.reshape(len(q), -1, d)[:, ends].transpose(3, 2, 1, 0))
-    # Elements that have fewer vectors than the widest are filled up with their first one.
+    # Elements with fewer vectors than the widest repeat their first vector.
     cables, looked_at = np.zeros(len(ends), dtype=bool), ends[:, 1] != ends[:, 0]
     crushed = np.zeros(X.shape[2:], dtype=bool)
     if lengths is None or limit is None:
@@ -355,7 +355,7 @@ def first_mirrored(
     suspects = np.flatnonzero(~(np.min(sides, axis=(0, 1, 3)) > 0) & looked_at)
     if not len(suspects) and not np.any(crushed):
         return None
-    # What is not a number is not mirrored: other checks see it.
+    # Values that are not numbers do not count as mirrored: other checks find them.
     weights = _BERNSTEIN[tangents.shape[1], normals.shape[1]]
     folded = np.any(np.tensordot(weights, sides[:, :, suspects], 2) <= 0, axis=0)
     turned = np.zeros_like(crushed)
@@ -369,7 +369,7 @@ def first_mirrored(
 
 
 def _turning(numbering: Numbering, vector: int, is_cable: bool, is_crushed: bool) -> str:
-    """Say what happens to a body or an element that begins with a vector."""
+    """Return a message on the body or element that begins with a vector: folded or crushed."""
     name = [body.name for body in numbering.bodies if body.first_vector <= vector][-1]
     if is_crushed:
         return (

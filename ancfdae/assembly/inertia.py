@@ -1,11 +1,11 @@
 """Mass matrix of a scene, its design derivatives, and gravity.
 
-Elements, rigid bodies, rigid beams and point masses are blocks on vectors. With vectors X of a body
-each of them has the kinetic energy 1/2 sum_ij m_ij X_i' . X_j', so that the mass matrix is the sum
-of m (x) I_d over all blocks (docs/theory/03-joints-and-loads.md):
+Elements, rigid bodies, rigid beams and point masses are mass blocks. With vectors X of its body
+each block has the kinetic energy 1/2 sum_ij m_ij X_i' . X_j', so that the mass matrix is the sum of
+m (x) I_d over all blocks (docs/theory/03-joints-and-loads.md):
 
     element       m = int rho s s^T dV_o
-    rigid body    m = int [1, x] [1, x]^T dm, x the place in the axes of the body
+    rigid body    m = int [1, x] [1, x]^T dm, x the position in the axes of the body
     rigid beam    m = sum over its elements of W^T m_e W, with node vectors W (frame of the body)
     point mass    m = mass w w^T, with position sum_a w_a X_a
 """
@@ -32,7 +32,10 @@ from ancfdae.numerics.patterns import LinearMap, SparsityPattern
 
 
 class MassPartials(NamedTuple):
-    """Derivatives of mass blocks pair by pair: (n_pairs,) of int, (n_pairs,), (n_pairs, k, k)."""
+    """Derivatives of mass blocks m, one per pair of block and design variable.
+
+    `block` and `variable`, of int, have the shape (n_pairs,), `m_b` (n_pairs, k, k).
+    """
 
     block: Array
     variable: Array
@@ -42,57 +45,57 @@ class MassPartials(NamedTuple):
 @final
 @dataclass(frozen=True)
 class MassBlocks:
-    """Masses of n things of k vectors each; their design derivatives are made at the first use."""
+    """Mass blocks of n objects with k vectors each; design derivatives are made on first use."""
 
     vectors: Array  # of int, (n, k)
     m: Array  # (n, k, k)
-    # of int, (n,): what each belongs to: place among the bodies of the scene, then its point
-    # masses.
+    # of int, (n,): owner of each block: index among the bodies of the scene, then its point masses.
     owners: Array
     derivative: Callable[[], MassPartials]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes that are pickled: derivatives, not what they are made from."""
+        """Return the attributes to pickle: derivatives instead of the closure that makes them."""
         return {**vars(self), "partials": self.partials, "derivative": None}
 
     @cached_property
     def partials(self) -> MassPartials:
-        """Derivatives of the blocks that a design variable changes."""
+        """Derivatives of the blocks in the design variables that change them."""
         return self.derivative()
 
     def chosen(self, owner: int | None) -> Array:
-        """One for the blocks of an owner, or for all, shape (n,)."""
+        """Return a mask, one or zero, of the mass blocks of an owner or of the scene, (n,)."""
         return np.ones(len(self.m)) if owner is None else (self.owners == owner).astype(float)
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class _Mass:
-    """One block m, and its derivatives in all design variables, which are made at the first use."""
+    """One mass block m, and its derivatives in all design variables, made on first use."""
 
     m: Array  # (k, k)
     derivative: Callable[[], Array]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes that are pickled: derivatives, not what they are made from."""
+        """Return the attributes to pickle: derivatives instead of the closure that makes them."""
         return {**vars(self), "m_b": self.m_b, "derivative": None}
 
     @cached_property
     def m_b(self) -> Array:
-        """Derivatives of m, shape (n_b, k, k)."""
+        """Derivatives of the mass block m, shape (n_b, k, k)."""
         return self.derivative()
 
 
-#: By the place among the bodies of a scene the numbers of a rigid one or a point, and its mass.
+#: Cache: by index among the bodies of a scene, parameters of a rigid body or point mass, and its
+#: mass.
 KnownMasses: TypeAlias = dict[int, tuple[Any, Any]]
 
 
 def other_masses(
     scene: Scene, naming: SceneNaming, mapping: ParameterMap, b: Array, known: KnownMasses
 ) -> tuple[MassBlocks, ...]:
-    """Return the masses of all that is rigid, and of points.
+    """Return the mass blocks of rigid bodies, rigid beams and point masses.
 
-    What is known of a rigid beam, body or point with the same numbers is taken over.
+    `known` caches masses; a mass whose parameters are unchanged is reused.
     """
     layout, single, elements = naming.layout, list[tuple[Array, int, _Mass]](), mapping.values(b)
     for owner, member in enumerate(scene.members):
@@ -122,7 +125,7 @@ def other_masses(
 
 
 def of_states(numbering: Numbering) -> MassBlocks:
-    """Return the masses of the vectors of states, which belong to no owner and no variable."""
+    """Return the mass blocks of state vectors, which have no owner and no design variable."""
     masses, none = numbering.masses, np.zeros(0, dtype=np.int64)
     vectors = numbering.n_q // numbering.d - len(masses) + np.arange(len(masses))
     nobody = np.full(len(masses), -1)
@@ -131,7 +134,7 @@ def of_states(numbering: Numbering) -> MassBlocks:
 
 
 def _together(blocks: Sequence[tuple[Array, int, _Mass]]) -> MassBlocks:
-    """Return blocks of one size, each with its vectors and its owner."""
+    """Return mass blocks of equal size, with their vectors and owners, as one `MassBlocks`."""
     vectors, owners, masses = zip(*blocks, strict=True)
 
     def derivative() -> MassPartials:
@@ -144,7 +147,7 @@ def _together(blocks: Sequence[tuple[Array, int, _Mass]]) -> MassBlocks:
 
 
 def _of_point(at: PointVector, p: Array, p_b: Array) -> tuple[Array, _Mass]:
-    """Return the vectors that a point mass hangs on, and its mass in them, p w w^T."""
+    """Return the vectors of the body that carries a point mass, and the block p w w^T."""
     w, w_b = at.weights, at.weights_b.T
 
     def derivative() -> Array:
@@ -155,7 +158,7 @@ def _of_point(at: PointVector, p: Array, p_b: Array) -> tuple[Array, _Mass]:
 
 
 def _of_body(body: RigidBody, mapping: ParameterMap, b: Array) -> _Mass:
-    """Return the mass, a closed form of a few numbers that is differentiated by complex steps."""
+    """Return the mass block of a rigid body, differentiated by complex steps."""
     p, p_b = mapping.numbers(body.name, b)
     m = body.moments(p)
 
@@ -169,7 +172,7 @@ def _of_body(body: RigidBody, mapping: ParameterMap, b: Array) -> _Mass:
 
 
 def _of_rigid_beam(beam: BeamBody, place: BeamLayout, mapping: ParameterMap, b: Array) -> _Mass:
-    """Return the mass m = sum of W^T m_e W; its derivatives by m_e, and by the lengths in W."""
+    """Return the mass block sum of W^T m_e W of a rigid beam, with derivatives of m_e and W."""
     rows = np.arange(place.elements.start, place.elements.stop)
     driven, element, nodes = mapping.only(rows), beam.element, place.rigid
     assert nodes is not None
@@ -197,9 +200,9 @@ def _of_rigid_beam(beam: BeamBody, place: BeamLayout, mapping: ParameterMap, b: 
 @final
 @dataclass(frozen=True, eq=False)
 class MassPlaces:
-    """Places of mass blocks in the mass matrix: the same at all designs with the same vectors.
+    """Indices of mass blocks in the mass matrix, equal at all designs with equal vectors.
 
-    `at` are the places of the entries of all m (x) I_d on a pattern, `directions` the coordinates
+    `at` are the indices of the entries of all m (x) I_d on a pattern, `directions` the coordinates
     of the axes of rigid bodies, (n, d, d) of int, `positions` the vectors that are positions.
     """
 
@@ -212,30 +215,31 @@ class MassPlaces:
     def of(
         vectors: tuple[Array, ...], numbering: Numbering, pattern: SparsityPattern
     ) -> MassPlaces:
-        """Return the places on a pattern, which must hold the entries of every block."""
+        """Return the blocks' indices for a pattern that contains their entries."""
         at = pattern.index(*coupled(map(numbering.coordinates, vectors)))
         directions = numbering.coordinates(numbering.frames[:, 1:])
         positions = np.concatenate([body.positions for body in numbering.bodies])
         return MassPlaces(vectors, at, directions, positions)
 
     def fits(self, vectors: tuple[Array, ...]) -> bool:
-        """Whether blocks on other vectors have the same places."""
+        """Whether mass blocks on these vectors have the same indices."""
         same = map(np.array_equal, self.vectors, vectors)
         return len(vectors) == len(self.vectors) and all(same)
 
 
-# Part of the largest moment of a rigid body that moments below it count as.
+# Smallest weight of a direction of a rigid body, over its largest.
 _LEAST = 1e-12
 
 
 @final
 class Inertia:
-    """M, M_b and the force of gravity, an acceleration (d,) with its design derivatives (d, n_b).
+    """The mass matrix M, its design derivatives M_b, and the force of gravity.
 
-    The pattern is that of the system's matrices and must hold the entries of every block. `values`
-    are M on it, `weights`, (n_q,), its real diagonal, of rigid bodies a least part of their largest
-    moment; `positions`, (n_q / d,), are one for vectors that are positions, zero for slopes.
-    `places` are taken over from `before` while the blocks have the same vectors.
+    `gravity` is the acceleration, (d,), m/s^2, with its design derivatives, (d, n_b). The pattern
+    is that of the system's matrices and must hold the entries of every block. `values` are M on it;
+    `weights`, (n_q,), are its real diagonal, bounded from below for rigid bodies; `positions`, (n_q
+    / d,), are one for vectors that are positions, zero for slopes. Indices of `before` are reused
+    if the blocks have the same vectors.
     """
 
     def __init__(
@@ -265,8 +269,8 @@ class Inertia:
             self.values = self.values + 1j * np.bincount(at, values.imag, minlength=count)
         directions = self.places.directions
         self.weights = self.values[pattern.diagonal].real.copy()
-        # A direction of a rigid body may have no inertia of its own: a straight cable has none
-        # across its axis, and what its integral leaves is round-off.
+        # A direction of a rigid body may have no inertia: a rigid straight cable has none across
+        # its axis, and its integral is round-off.
         weights = self.weights[directions]
         self.weights[directions] = np.maximum(
             weights, _LEAST * np.max(weights, axis=1, keepdims=True)
@@ -282,7 +286,7 @@ class Inertia:
 
     @cached_property
     def M(self) -> LinearMap:
-        """The product with the mass matrix."""
+        """Map from vectors, (..., n_q), to their product with the mass matrix."""
         # Two of three entries of a spatial element are zero: masses do not couple directions.
         kept, pattern = np.flatnonzero(self.values), self._pattern
         before = np.append(0, np.cumsum(self.values != 0))
@@ -291,7 +295,7 @@ class Inertia:
 
     @cached_property
     def _M_b(self) -> LinearMap:
-        """Map from a to columns of a row-major (n_b, n_q) array."""
+        """Map from accelerations a to (M a)_b as a flattened (n_b, n_q) array."""
         pairs = [x.partials for x in self._blocks]
         vectors = [x.vectors[of.block] for x, of in zip(self._blocks, pairs, strict=True)]
         rows, columns = coupled(x[..., None] * self._d + np.arange(self._d) for x in vectors)
@@ -304,12 +308,12 @@ class Inertia:
 
     @cached_property
     def gravity(self) -> Array:
-        """Q_e = M (field of unit translations times g): eq. (12) without an integral of its own."""
+        """Force of gravity, shape (n_q,), N: M times the field g on all positions (eq. 12)."""
         return self.M(self._field.ravel())
 
     @cached_property
     def gravity_b(self) -> Array:
-        """Design partials of the weight, shape (n_q, n_b); N per unit of the variable."""
+        """Design partials of the force of gravity, shape (n_q, n_b); N per unit of the variable."""
         Q_b = self.times_b(self._field.ravel())
         if len(self._field_active):
             fields = self._field_b.reshape(len(self._field_b), -1)
@@ -319,19 +323,19 @@ class Inertia:
 
     @cached_property
     def gravity_rows(self) -> Array:
-        """Gravity and its design partials as rows, shape (1 + n_b, n_q)."""
+        """The force of gravity and its design partials as rows, shape (1 + n_b, n_q)."""
         return np.concatenate([self.gravity[None], self.gravity_b.T])
 
     def times(self, x: Array) -> Array:
-        """M x for a vector or for columns."""
+        """Return M x for a vector x, (n_q,), or for columns, (n_q, n)."""
         return self.M(x.T).T
 
     def times_b(self, a: Array) -> Array:
-        """(M a)_b for one a or for rows, shape (..., n_q, n_b)."""
+        """Return the design partial (M a)_b for one a or for rows, shape (..., n_q, n_b)."""
         return self._M_b(a).reshape((*a.shape[:-1], self._n_b, self._n_q)).mT
 
     def pull_back(self, a: Array, x: Array, gravity: bool = True) -> Array:
-        """Sum over instants of (M a - gravity)_b^T x, shape (n_b,); a and x have shape (k, n_q)."""
+        """Return the sum over times of (M a - gravity)_b^T x, (n_b,); a, x of shape (k, n_q)."""
         a = a - self._field.ravel() if gravity else a
         total = np.zeros(self._n_b, dtype=np.result_type(a, x))
         # Node vectors first, each at all time points.
@@ -351,7 +355,7 @@ class Inertia:
         return total
 
     def quadratic_b(self, v: Array, owner: int | None) -> Array:
-        """Design partial of v^T M v of one owner or of all, shape (k, n_b)."""
+        """Return the design partial of v^T M v of one owner or of the scene, shape (k, n_b)."""
         result = np.zeros((len(v), self._n_b), dtype=v.dtype)
         for block, products in self._pair_products(v, v):
             chosen = products * block.chosen(owner)[block.partials.block]
@@ -359,9 +363,9 @@ class Inertia:
         return result
 
     def owner_times(self, v: Array, owner: int) -> Array:
-        """M v with the masses of one owner only, for rows of v, shape (k, n_q)."""
+        """Return M v with the masses of one owner only, for rows of v, shape (k, n_q)."""
         X = v.reshape(len(v), -1, self._d)
-        # Vectors first: entries that come twice are added along the first axis.
+        # Vectors first: repeated entries are added along the first axis.
         result = np.zeros((X.shape[1], len(v), self._d), dtype=np.result_type(v, self.values))
         for block in self._blocks:
             chosen = np.flatnonzero(block.chosen(owner))
@@ -370,7 +374,7 @@ class Inertia:
         return result.swapaxes(0, 1).reshape(v.shape)
 
     def _pair_products(self, a: Array, x: Array) -> Iterator[tuple[MassBlocks, Array]]:
-        """Yield x^T M_b a pair by pair, shape (k, n_pairs), of all blocks."""
+        """Yield each group of mass blocks with x^T M_b a for its pairs, shape (k, n_pairs)."""
         A, X = (y.reshape(len(y), -1, self._d) for y in (a, x))
         for block in self._blocks:
             at, m_b = block.vectors[block.partials.block], block.partials.m_b

@@ -1,7 +1,8 @@
-"""Equations of a `FormulaJoint` as lists of operations, with the derivatives that kernels evaluate.
+"""Equations of a `FormulaJoint` as lists of operations, with derivatives, for the kernels.
 
-The equations run once, on symbols of the vectors U and of inputs z: parameters, vectors of the
-reference and values of laws. `kernels/constraint_plan.h` says which lists follow from Phi(U, z).
+The equations are called once, with symbols for the vectors U and the inputs z: parameters,
+reference vectors and values of laws. `kernels/constraint_plan.h` says which lists follow from
+Phi(U, z).
 """
 
 from itertools import pairwise
@@ -11,28 +12,28 @@ import numpy as np
 
 from ancfdae.assembly.joint_input import JointInput
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import OperationList, list_values
+from ancfdae.kernels import OperationList
 from ancfdae.model.joints.formula_joint import FormulaJoint
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.operations import TRACE_FAILURES, Operations, Traced, told
 
 # Orders of time derivatives of Phi and Phi_U, and of Phi_z and the curvature.
 _ORDERS, _FIRST_ORDERS = 4, 2
-# Changes of design values under which a formula must stay the same, relative or of zeros.
+# Relative change of design values (absolute for zeros) under which a formula must stay the same.
 _OTHER = 2.0**-20
 # Largest difference between a list and the formula, relative to the largest term.
 _SAME = 1e-9
 
 
 def formula_lists(item: JointInput) -> tuple[OperationList, ...]:
-    """Return the lists of the equations of a joint that is given by formulas."""
+    """Return the operation lists of the equations of a `FormulaJoint` and their derivatives."""
     assert isinstance(item.joint, FormulaJoint)
     return _Trace(item.joint, item).lists()
 
 
 @final
 class _Trace:
-    """Numbers of inputs of all lists, order by order: U with z, and then lam."""
+    """Recorder of the equations of one joint as operations; inputs are U, z, rates, and lam."""
 
     def __init__(self, joint: FormulaJoint, item: JointInput) -> None:
         self._joint, self._item, self._n_u = joint, item, item.reference.size
@@ -53,7 +54,7 @@ class _Trace:
         }
 
     def lists(self) -> tuple[OperationList, ...]:
-        """Return Phi, Phi_U, Phi_z and (Phi_U^T lam)_U with their rates."""
+        """Return the lists of Phi, Phi_U, Phi_z and (Phi_U^T lam)_U, with time derivatives."""
         n, Phi = self._n_u, self._numbers(self._joint)
         self._require_parameters(Phi)
         by_all = self._by(Phi, self._states[0])
@@ -74,7 +75,7 @@ class _Trace:
         return tuple(made)
 
     def _rates(self, values: Array, orders: int, lam: bool = False) -> list[OperationList]:
-        """Return lists of values and of their time derivatives."""
+        """Return the lists of `values` and of their time derivatives up to orders - 1."""
         made, more = list[OperationList](), self._lam.tolist() if lam else []
         for order in range(orders):
             inputs = self._states[: order + 1].ravel().tolist() + more
@@ -84,14 +85,14 @@ class _Trace:
         return made
 
     def _by(self, values: Array, inputs: Array) -> Array:
-        """Return partials by inputs, shape (len(values), len(inputs))."""
+        """Return operations for partials of `values` in `inputs`, (len(values), len(inputs))."""
         zero = self._operations.constant(0.0)
         each = (self._operations.partials(x) for x in values.tolist())
         rows = [[partials.get(x, zero) for x in inputs.tolist()] for partials in each]
         return np.array(rows, dtype=np.int64).reshape(len(values), len(inputs))
 
     def _numbers(self, joint: FormulaJoint) -> Array:
-        """Return numbers of the equations of a joint, in symbols, shape (n_rows,)."""
+        """Return the recorded operations of the equations of a joint, shape (n_rows,)."""
         reference, (U, z) = self._item.reference, self._parts(self._traced(self._states[0]))
         n_p, where = len(self._item.p), f"equations of joint {joint.name!r}"
         parts = z[:n_p], z[n_p : n_p + self._n_u].reshape(reference.shape), z[n_p + self._n_u :]
@@ -114,16 +115,17 @@ class _Trace:
         return numbers
 
     def _parts(self, state: Array) -> tuple[Array, Array]:
-        """Return the vectors, (n_vectors, d), and the inputs z of a state."""
+        """Return the vectors U, (n_vectors, d), and the inputs z of a state."""
         return state[: self._n_u].reshape(self._item.reference.shape), state[self._n_u :]
 
     def _traced(self, numbers: Array) -> Array:
         return Traced.array(self._operations, numbers)
 
     def _require_parameters(self, Phi: Array) -> None:
-        """Refuse equations that read design fields of the joint itself, whose values then stay.
+        """Raise InvalidInputError for equations that read design fields of the joint itself.
 
-        And others that differ from call to call.
+        These would keep their values when the design changes. Also for equations that differ from
+        call to call.
         """
         joint = self._joint
         if not np.array_equal(self._numbers(joint), Phi):
@@ -132,7 +134,7 @@ class _Trace:
         try:
             other = joint.with_parameters(moved)
         except InvalidInputError:
-            return  # Its rules refuse these values.
+            return  # The joint does not admit these values.
         if not np.array_equal(self._numbers(other), Phi):
             raise InvalidInputError(
                 f"equations of joint {joint.name!r}",
@@ -142,14 +144,14 @@ class _Trace:
             )
 
     def _require_the_same(self, Phi: OperationList) -> None:
-        """Refuse equations that have other values for numbers than for symbols."""
+        """Raise InvalidInputError if recorded joint equations give other values than calls."""
         item, joint = self._item, self._joint
         p, reference, laws = item.p.real, item.reference.real, item.factors(np.zeros(1), 0).real
         with np.errstate(all="ignore"):
             called = joint.equations(reference.copy(), p.copy(), reference.copy(), laws[:, 0])
         state = np.concatenate([reference.ravel(), p, reference.ravel(), laws[:, 0]])
-        listed, called = list_values(Phi, state), np.ravel(np.asarray(called, dtype=float))
-        beside = list_values(Phi, state * (1 + _OTHER))
+        listed, called = Phi.values(state), np.ravel(np.asarray(called, dtype=float))
+        beside = Phi.values(state * (1 + _OTHER))
         known = np.isfinite(called) & np.isfinite(beside)
         # Equations that hold leave round-off; their size is their change with the state.
         gap, size = np.abs(listed - called)[known], np.abs(called)[known]

@@ -1,4 +1,4 @@
-"""One joint as numbers, and which right angles of sections joints hold already."""
+"""The numeric data of one joint, and the right angles of sections that joints keep."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from ancfdae.model.joints.joint import Joint, JointEquations, RightAngle
 from ancfdae.numerics.arrays import STEP, Array
 
 _FLAT = frozenset((Quantity.SLOPE_Y, Quantity.SLOPE_Z))
-# Places along an element that are nearer than this share of its length hold the same.
+# Fraction of the element length within which two locations count as one.
 _NEAR = 1e-6
 
 
 @final
 class HeldAngles:
-    """The right angles of all sections that joints have named so far.
+    """The right angles of sections that joints keep so far.
 
-    Slopes of a section vary linearly along an element, and so does the change of its right angle:
-    two sections of an element hold that of every third. Bodies that are `rigid` keep their shape by
-    themselves; of an element without a section nothing is asked.
+    Slopes of a section are linear along an element, and so is the change of its right angle: two
+    sections of an element fix it in every other one. Bodies in `rigid` keep their shape by
+    themselves; elements without a section have no right angle.
     """
 
     def __init__(self, layout: Layout, rigid: Container[str] = ()) -> None:
@@ -36,7 +36,7 @@ class HeldAngles:
         self._flat: dict[str, Array] = {}
 
     def add(self, angle: RightAngle) -> bool:
-        """Name one more, and tell whether it needs an equation."""
+        """Add a right angle of a section; return whether it needs an equation."""
         if angle.fraction is None or angle.beam in self._rigid or angle in self._named:
             return False
         beam = self._layout.beam(angle.beam)
@@ -61,9 +61,9 @@ class HeldAngles:
 class JointInput:
     """One joint with its parameters, (n_p,), reference vectors, (n_vectors, d), and partials.
 
-    `reference_b` has those of the design variables that move the reference. Equations `dropped`
-    say nothing here. `alike` has the equations of joints of one kind with the same numbers, and
-    what is left of them without those dropped.
+    `reference_b` holds the design derivatives of the reference vectors by design variable. The
+    equations `dropped` are left out. `alike` caches the equations of joints of one kind with the
+    same numbers.
     """
 
     joint: Joint
@@ -78,7 +78,7 @@ class JointInput:
 
     @cached_property
     def kind(self) -> tuple[object, ...]:
-        """Key of the equations: equal for joints of one kind with the same numbers."""
+        """Cache key of a joint's coefficients: equal for joints of one class with equal numbers."""
         joint, p, numbers = self.joint, self.p, self.reference
         which: tuple[object, ...] = (joint.name,)
         if joint.by_slopes:
@@ -88,7 +88,7 @@ class JointInput:
 
     @cached_property
     def parts(self) -> list[JointEquations]:
-        """The constant coefficients, and what goes with each factor."""
+        """Joint coefficients constant in time, then those multiplied by each factor of time."""
         joint, p, reference = self.joint, self.p, self.reference
         if self.kind in self.alike:
             other, parts = self.alike[self.kind]
@@ -104,13 +104,13 @@ class JointInput:
 
     @property
     def input_count(self) -> int:
-        """Number of inputs of the formulas: parameters, vectors of the reference, and laws."""
+        """Number of inputs of formulas: parameters, reference vectors, and laws; 0 without."""
         if not isinstance(self.joint, FormulaJoint):
             return 0
         return len(self.p) + self.reference.size + len(self.joint.laws)
 
     def inputs(self) -> Array:
-        """Return the inputs of all parts, (n_parts, input_count): a law is one in its own part."""
+        """Return the inputs of all parts, (n_parts, input_count); a law is 1 in its own part."""
         laws, count = len(self.parts) - 1, self.input_count
         inputs = np.zeros((1 + laws, count), np.result_type(self.p, self.reference))
         if count:
@@ -119,19 +119,19 @@ class JointInput:
         return inputs
 
     def factors(self, t: Array, order: int) -> Array:
-        """Return the time derivative of the factors, shape (n_factors, k)."""
+        """Return the factors of time, or a time derivative of them, shape (n_factors, k)."""
         return self.joint.factors(self.p, t, order)
 
     def by_turn(self, t: Array) -> Array:
-        """Return the derivatives of the factors in a prescribed angle, (n_factors, k)."""
+        """Return the derivatives of the factors in a prescribed angle, shape (n_factors, k)."""
         return self.joint.by_turn(self.p, t)
 
     def turn_rate(self, t: Array) -> Array:
-        """Return the rate of a prescribed angle, (k,); rad/s."""
+        """Return the rate of a prescribed angle at times t, shape (k,); rad/s."""
         return self.joint.turn_rate(self.p, t)
 
     def shaped(self, held: HeldAngles, left_out: Sequence[int] = ()) -> JointInput:
-        """Leave out right angles that are held without this joint, and the equations `left_out`."""
+        """Return the joint without right angles that are kept already, and without `left_out`."""
         c = self.parts[0]
         shapes = enumerate(c.shapes, len(c.offset) - len(c.shapes))
         dropped = [row for row, angle in shapes if not held.add(angle)]
@@ -147,19 +147,19 @@ class JointInput:
 
     @property
     def active(self) -> set[int]:
-        """Design variables that the coefficients may depend on."""
+        """Design variables on which the coefficients may depend."""
         return {*np.flatnonzero(np.any(self.p_b, axis=0)).tolist(), *self.reference_b}
 
     def moved(self, i: int) -> JointInput:
-        """Return the joint moved in design variable i by an imaginary step."""
+        """Return the joint with design variable i perturbed by an imaginary step."""
         p, reference = self.p + 1j * STEP * self.p_b[:, i], self.reference
         if i in self.reference_b:
             reference = reference + 1j * STEP * self.reference_b[i]
         return replace(self, p=p, reference=reference, alike={})
 
     def structure(self) -> JointEquations:
-        """Return coefficients whose zeros are structural: zero at all times and parameters."""
-        # Generic parameters: a coefficient that is not zero by structure shows.
+        """Return joint coefficients whose zeros are zero for all parameters and times."""
+        # Generic parameters: a coefficient that is not zero by structure is nonzero here.
         p = self.p * (1 + 1j * STEP) + 1j * STEP * np.sqrt(1.0 + np.arange(len(self.p)))
         reference = self.reference + 1j * STEP * sum(self.reference_b.values())
         parts = [*self.parts, *replace(self, p=p, reference=reference).parts]

@@ -1,8 +1,8 @@
-"""Where coefficients of all joints do not vanish, and their numbers, as kernels take them.
+"""Sparsity of the coefficients of all joint equations, and their nonzero numbers for kernels.
 
-Numbers of all joints stand joint by joint: entries of L, and coefficients c = (linear, products,
-offsets, inputs of formulas). Those of driven joints are sums over parts that factors of time
-multiply; the first part is that of all joints that stays.
+The numbers are ordered joint by joint: entries of L, and coefficients c = (linear, products,
+offsets, inputs of formulas). Coefficients of driven joints are sums over parts times factors of
+time; the first part, common to all joints, is constant in time.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from ancfdae.numerics.patterns import SparsityPattern
 @final
 @dataclass(frozen=True)
 class Slot:
-    """A joint among all, its vectors in U and its parts but the first.
+    """One joint among all joints: its vectors in U and its parts after the first.
 
-    `linear` and `products` are indices of its coefficients that do not vanish, those of one half of
-    the symmetric matrix, and `at` are the places of all, offsets and inputs last, in the numbers
-    of all joints. `lists` belong to its formulas, if it has any.
+    `linear` and `products` are indices of its nonzero coefficients (`products` in the upper
+    triangle), and `at` the indices of all its coefficients, offsets and inputs last, among the
+    numbers of all joints. `lists` are the operation lists of its formulas, if any.
     """
 
     item: JointInput
@@ -42,7 +42,7 @@ class Slot:
     lists: tuple[OperationList, ...]
 
     def coefficients(self, item: JointInput) -> Array:
-        """Return the coefficients of all parts, (n_parts, n), of the joint as it is or moved."""
+        """Return the coefficients of all parts of a joint, (n_parts, n), original or perturbed."""
         _, i, j = self.products
         # Both halves of the symmetric matrix in one entry, 1/2 on the diagonal.
         half = np.where(i == j, 0.5, 1.0)
@@ -54,7 +54,7 @@ class Slot:
 
     @property
     def fits(self) -> bool:
-        """Whether coefficients vanish wherever the indices leave them out."""
+        """Whether indices `linear` and `products` include all nonzero coefficients of a joint."""
         return len(self.item.parts) == 1 + self.parts.stop - self.parts.start and all(
             np.count_nonzero(c.linear) == np.count_nonzero(c.linear[self.linear])
             and np.count_nonzero(np.triu(c.bilinear)) == np.count_nonzero(c.bilinear[self.products])
@@ -62,10 +62,10 @@ class Slot:
         )
 
     def partials(self, i: int) -> tuple[Array, Array, Array]:
-        """Return parts, entries and values of the partial derivatives by a design variable."""
+        """Return parts, entries and values of the partials with respect to a design variable."""
         change = self.coefficients(self.item.moved(i)) - self.coefficients(self.item)
         part, at = np.nonzero(change.imag)
-        # The first part is that of all joints.
+        # The first part is common to all joints.
         parts = np.where(part == 0, 0, self.parts.start + part - 1)
         return parts, self.at[at], change.imag[part, at] / STEP
 
@@ -73,10 +73,10 @@ class Slot:
 @final
 @dataclass(frozen=True, eq=False)
 class JointStructure:
-    """All joints of a scene; `indices` and `pattern`, of Phi_q, as a `ConstraintPlan` takes them.
+    """Structure of all joints of a scene: `indices` and pattern of Phi_q for a `ConstraintPlan`.
 
-    Of the indices those of the curvature and of what moves are left out. `couplings` are rows and
-    columns of what the curvature has.
+    `indices` lacks the indices of the curvature and of the moving coefficients. `couplings` are
+    rows and columns of the entries of the curvature.
     """
 
     slots: tuple[Slot, ...]
@@ -88,14 +88,14 @@ class JointStructure:
 
     @staticmethod
     def of(inputs: Sequence[JointInput], vectors: Vectors) -> JointStructure:
-        """Return the structure of joints whose vectors are these, in order."""
+        """Return the structure of joints whose vectors, in order, are `vectors`."""
         shapes, slots, layouts = list[_Shape](), [], []
         known: dict[object, _Shape] = {}
         for item in inputs:
             same = None if item.reference_b else known.get(item.kind)
             shapes.append(same or _shape(item))
             known[item.kind] = shapes[-1]
-        # The first part is that of all joints.
+        # The first part is common to all joints.
         begin = np.cumsum([(0, 0, 0, 0, 1, 0), *(shape.sizes for shape in shapes)], axis=0)
         # Linear entries, products, rows, and inputs of formulas.
         columns = [1, 2, 3, 5]
@@ -119,18 +119,18 @@ class JointStructure:
 
     @cached_property
     def by_formulas(self) -> Array:
-        """Whether formulas give each equation, (n_lam,)."""
+        """Whether each equation is given by formulas, shape (n_lam,)."""
         pairs = zip(self.slots, self.joints, strict=True)
         rows = [np.full(layout.rows, len(slot.lists) > 0) for slot, layout in pairs]
         return np.concatenate([np.zeros(0, dtype=bool), *rows])
 
     @cached_property
     def parts(self) -> list[Array]:
-        """Coefficients of each joint, one flat array per joint."""
+        """Coefficients of each joint, shape (n_parts, n) each."""
         return [slot.coefficients(slot.item) for slot in self.slots]
 
     def with_numbers(self, inputs: Sequence[JointInput], vectors: Vectors) -> JointStructure | None:
-        """Return the same forms with other numbers; None if a number does not fit its form."""
+        """Return the same structure with other numbers; None if a number does not fit into it."""
         pairs = zip(self.slots, inputs, strict=True)
         slots = tuple(replace(slot, item=item) for slot, item in pairs)
         if not (vectors.is_like(self.vectors) and all(slot.fits for slot in slots)):
@@ -138,12 +138,12 @@ class JointStructure:
         return replace(self, slots=slots, vectors=vectors)
 
     def moved(self, i: int) -> JointStructure:
-        """Return the joints moved in design variable i by an imaginary step."""
+        """Return the joints with design variable i perturbed by an imaginary step."""
         slots = tuple(replace(slot, item=slot.item.moved(i)) for slot in self.slots)
         return replace(self, slots=slots, vectors=self.vectors.moved(i))
 
     def moving(self) -> tuple[Array, Array, Array, Array]:
-        """Return the moving coefficients: first index of each joint, entries, parts and values."""
+        """Return joint coefficients times time factors: first index, entries, parts, values."""
         counts, moving = [0], [(np.zeros(0, dtype=np.int64),) * 2 + (np.zeros(0),)]
         for slot, c in zip(self.slots, self.parts, strict=True):
             part, at = np.nonzero(c[1:])
@@ -153,7 +153,7 @@ class JointStructure:
         return np.array(counts), entries, parts, values
 
     def plan(self, curved: Array, n_curved: int) -> ConstraintPlan:
-        """Return the kernel's plan; `curved` are the places of the couplings among values."""
+        """Return the kernel's plan; `curved` are the indices of the couplings among values."""
         counts, entries, parts, values = self.moving()
         inputs = int(self.indices[0][-1, 5])
         still = np.zeros(len(self.indices[3]) + len(self.indices[5]) + self.n_lam + inputs)
@@ -170,9 +170,9 @@ class JointStructure:
 
 
 class _Shape(NamedTuple):
-    """Indices of coefficients, lists of formulas, and how many there are of what a joint has.
+    """Sparsity of the coefficients of a joint, lists of its formulas, and counts.
 
-    `sizes` count vectors, linear entries, products, rows, factors and inputs of formulas.
+    `sizes` counts vectors, linear entries, products, rows, factors and inputs of formulas.
     """
 
     linear: tuple[Array, ...]
@@ -195,7 +195,7 @@ def _placed(
     layouts: list[JointLayout],
     begin: Array,
 ) -> JointStructure:
-    """Find the places of products of entries of Phi_U with entries of L."""
+    """Return the structure: find the indices of products of Phi_U with L in Phi_q."""
     d, first, column = vectors.d, vectors.first, vectors.column
     linear_row, at, axis = _counted([slot.linear for slot in slots], begin, 1)
     row, i, j = _counted([slot.products for slot in slots], begin, 2)
@@ -230,9 +230,9 @@ def _placed(
 def _formula_entries(
     slots: list[Slot], layouts: list[JointLayout], d: int
 ) -> tuple[Array, Array, Array]:
-    """Return rows of Phi and components of U for all entries of Phi_U of formulas, row by row.
+    """Return rows of Phi and components of U of all entries of Phi_U of formulas, row by row.
 
-    Before them the number of entries ahead of each joint, and of all.
+    The first array has the number of such entries before each joint, and of all.
     """
     ahead, rows, at = [0], [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
     for slot, layout in zip(slots, layouts, strict=True):
@@ -247,9 +247,10 @@ def _formula_entries(
 def _counted(
     indices: list[tuple[Array, ...]], begin: Array, which: int
 ) -> tuple[Array, Array, Array]:
-    """Return rows, vectors and the last index of coefficients, counted over all joints.
+    """Return rows, vectors and last index of coefficients, numbered over all joints.
 
-    They are the entries of L (`which` = 1) or the products (2), whose last index is a vector, too.
+    They are the linear entries (`which` = 1), or the products (2), whose last index is a vector,
+    too.
     """
     none = np.zeros((3, 0), dtype=np.int64)
     row, i, last = np.concatenate([none, *map(np.array, indices)], axis=1)
@@ -258,7 +259,7 @@ def _counted(
 
 
 def _couplings(vectors: Vectors, i: Array, j: Array) -> tuple[Array, Array]:
-    """Return rows and columns of the products L_i^T L_j, and of each its transpose."""
+    """Return rows and columns of the products L_i^T L_j and of their transposes."""
     first, column, axes = vectors.first, vectors.column, np.arange(vectors.d)
     left, right = ((at[:, None] + axes).ravel() for at in (i, j))
     number, one = _entries(first, left)
@@ -268,7 +269,7 @@ def _couplings(vectors: Vectors, i: Array, j: Array) -> tuple[Array, Array]:
 
 
 def _entries(first: Array, rows: Array) -> tuple[Array, Array]:
-    """Return for all entries of some rows the number of the row, and the entry."""
+    """Return, for all entries in some rows, the row's position in `rows`, and the entry."""
     sizes = first[rows + 1] - first[rows]
     number = np.arange(len(rows)).repeat(sizes)
     ahead = first[rows] - (sizes.cumsum() - sizes)

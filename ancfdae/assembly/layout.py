@@ -1,6 +1,6 @@
-"""Where the coordinates and multipliers of beams, bodies and joints stand in q and lam.
+"""Indices of the coordinates of bodies in q, and of the multipliers of joints in lam.
 
-Plain numbers only, so that a saved solution can be read without its scene.
+The classes hold plain numbers only, so that a saved solution can be read without its scene.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -19,13 +19,13 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True)
 class BodyLayout:
-    """Place of a beam or a rigid body: its vectors, `count` in a row from `first_vector` on.
+    """Vectors of a beam or rigid body in q: `count` consecutive ones from `first_vector`.
 
-    Every `stride`-th of them is a position, the others are directions: per node of a beam, or of
+    Every `stride`-th vector is a position, the others are directions: per node of a beam, or for
     the one frame of a rigid body. `kinks` are the inner nodes where the slope along the beam may
-    jump: that of the element which ends there comes after all nodes. Vector k has the coordinates
-    d k to d k + d - 1. `size` is the length of a beam, the radius of gyration of a body, as
-    declared.
+    jump: the slope of the element which ends there is stored after all nodes. Vector k has the
+    coordinates d k to d k + d - 1. `size` is the length of a beam or the radius of gyration of a
+    body, as declared; m.
     """
 
     name: str
@@ -37,12 +37,12 @@ class BodyLayout:
 
     @cached_property
     def vectors(self) -> Array:
-        """Numbers of the vectors of this body, shape (count,)."""
+        """Indices of the vectors of this body, shape (count,)."""
         return self.first_vector + np.arange(self.count)
 
     @cached_property
     def nodes(self) -> Array:
-        """Numbers of the vectors of every node, shape (n_nodes, stride).
+        """Indices of the vectors of every node, shape (n_nodes, stride).
 
         At a kink the table holds the slope vector of the element that begins there.
         """
@@ -50,12 +50,12 @@ class BodyLayout:
 
     @property
     def positions(self) -> Array:
-        """Numbers of those that are positions."""
+        """Indices of the vectors that are positions, shape (n_nodes,)."""
         return self.nodes[:, 0]
 
     @cached_property
     def ends(self) -> Array:
-        """Numbers of the vectors of both ends of every element, shape (n, 2 stride)."""
+        """Indices of the vectors of both ends of every element, shape (n, 2 stride)."""
         nodes = self.nodes
         ends = np.concatenate([nodes[:-1], nodes[1:]], axis=1)
         kinks = np.array(self.kinks, dtype=np.int64)
@@ -63,7 +63,7 @@ class BodyLayout:
         return ends
 
     def of_ends(self, nodes: Array) -> Array:
-        """Return the body's vectors, shape (count, d), from those of nodes or ends of elements."""
+        """Return the body's vectors, shape (count, d), from vectors of nodes or of element ends."""
         X = nodes if nodes.ndim == 4 else np.stack([nodes[:-1], nodes[1:]], axis=1)
         vectors = np.zeros((self.count, X.shape[-1]), dtype=X.dtype)
         vectors[self.ends - self.first_vector] = X.reshape(*self.ends.shape, -1)
@@ -73,13 +73,17 @@ class BodyLayout:
 @final
 @dataclass(frozen=True)
 class RigidNodes:
-    """Nodes of a rigid beam in its axes: chords over lengths, (n, d), and slopes, (n + 1, d, d)."""
+    """Nodes of a rigid beam in its own axes.
+
+    `chords` are chords over lengths of elements, (n, d), `slopes` the slopes of nodes, (n + 1, d,
+    d).
+    """
 
     chords: tuple[tuple[float, ...], ...]
     slopes: tuple[tuple[tuple[float, ...], ...], ...]
 
     def weights(self, lengths: Array, n_s: int) -> Array:
-        """Return W: node vectors as combinations of the body's vectors, (n + 1, n_s, d + 1)."""
+        """Return W, (n + 1, n_s, d + 1): node vectors as combinations of r and the directions."""
         chords, slopes = np.asarray(self.chords), np.asarray(self.slopes)
         n, d = chords.shape
         W = np.zeros((n + 1, n_s, d + 1), dtype=np.result_type(lengths, float))
@@ -89,7 +93,7 @@ class RigidNodes:
         return W
 
     def positions_b(self, lengths_b: Array) -> Array:
-        """Return the partial of W[:, 0, 1:], which depends on lengths alone, (n + 1, d, n_b)."""
+        """Return the design derivative of W[:, 0, 1:], shape (n + 1, d, n_b), due to lengths."""
         moved = np.cumsum(np.asarray(self.chords)[..., None] * lengths_b[:, None], axis=0)
         return np.concatenate([np.zeros((1, *moved.shape[1:])), moved])
 
@@ -97,9 +101,9 @@ class RigidNodes:
 @final
 @dataclass(frozen=True)
 class BeamLayout:
-    """A beam: its kind of element, index of the first element, arc-length fractions of nodes.
+    """Element, index of the first element, and arc-length fractions of nodes of a beam.
 
-    `rigid` holds the nodes of a rigid beam in its own axes; None for a beam that deforms.
+    `rigid` holds the nodes of a rigid beam in its own axes; None for a flexible beam.
     """
 
     name: str
@@ -119,7 +123,7 @@ class BeamLayout:
         return slice(self.first_element, self.first_element + self.element_count)
 
     def locate(self, fraction: float | None, before: bool = False) -> tuple[int, float]:
-        """Element of the beam and its xi at an arc-length fraction; refuse one beyond [0, 1]."""
+        """Return the element of the beam and its xi at an arc-length fraction in [0, 1]."""
         fraction = require_fraction(f"point of {self.name!r}", fraction)
         return locate(np.asarray(self.fractions), fraction, before)
 
@@ -127,9 +131,9 @@ class BeamLayout:
 @final
 @dataclass(frozen=True)
 class JointLayout:
-    """Place of a joint: `rows` multipliers from `first_row` on.
+    """Multipliers of a joint in lam: `rows` of them from `first_row` on.
 
-    `holds_position` tells whether the first d of them are minus the force on its first point.
+    `holds_position`: whether the first d of them are minus the force on its first point.
     """
 
     name: str
@@ -141,10 +145,10 @@ class JointLayout:
 @final
 @dataclass(frozen=True)
 class StatesLayout:
-    """Place of the states of a controller or a joint: a vector each, from `first_vector` on.
+    """Vectors of the states of a controller or joint in q, from `first_vector` on.
 
-    Component 0 of the rate of a vector is the state of a controller, component 0 of the vector that
-    of a joint; the other components are zero.
+    Component 0 of the rate of a vector is the state of a controller, component 0 of the vector the
+    coordinate of a joint; the other components are zero.
     """
 
     name: str
@@ -155,11 +159,11 @@ class StatesLayout:
 @final
 @dataclass(frozen=True)
 class Layout:
-    """Places of all parts of a scene of dimension d.
+    """Indices of all bodies, joints and states of a scene in q and lam; `d` is its dimension.
 
-    `bodies` are beams and rigid bodies in the order of their coordinates, `masses` the names of
-    the point masses. Loads that have states are `controllers`. Joints that have coordinates of
-    their own are `sliders`, whose vectors are ahead of the vectors of controllers.
+    `bodies` are beams and rigid bodies in the order of their coordinates, `masses` the names of the
+    point masses. `controllers` are loads that have states. `sliders` are joints with additional
+    coordinates, whose vectors precede the vectors of controllers.
     """
 
     d: int
@@ -172,21 +176,21 @@ class Layout:
 
     @property
     def owners(self) -> tuple[str, ...]:
-        """Names of all that has a mass."""
+        """Names of everything with a mass: bodies, then point masses."""
         return (*(body.name for body in self.bodies), *self.masses)
 
     def owner(self, name: str) -> int:
-        """Return the place of a name among the `owners`, or raise UnknownNameError."""
+        """Return the index of a name among `owners`; UnknownNameError if it is not there."""
         if name not in self.owners:
             raise UnknownNameError("beam or body", name, self.owners)
         return self.owners.index(name)
 
     def body(self, name: str) -> BodyLayout:
-        """Return the vectors of the beam or rigid body of this name, or raise UnknownNameError."""
+        """Return the layout of the beam or rigid body `name`; UnknownNameError if it is missing."""
         return self._bodies.get(name) or named("beam or body", name, self.bodies)
 
     def beam(self, name: str) -> BeamLayout:
-        """Return the beam of this name, or raise UnknownNameError."""
+        """Return the layout of the beam `name`; UnknownNameError if it is missing."""
         return self._beams.get(name) or named("beam", name, self.beams)
 
     @cached_property
@@ -198,34 +202,34 @@ class Layout:
         return {beam.name: beam for beam in self.beams}
 
     def joint(self, name: str) -> JointLayout:
-        """Return the joint of this name, or raise UnknownNameError."""
+        """Return the layout of the joint `name`; UnknownNameError if it is missing."""
         return named("joint", name, self.joints)
 
     def controller(self, name: str) -> StatesLayout:
-        """Return the states of the controller of this name, or raise UnknownNameError."""
+        """Return the states of the controller `name`; UnknownNameError if it is missing."""
         return named("controller with states", name, self.controllers)
 
     def slider(self, name: str) -> StatesLayout:
-        """Return the coordinate of the sliding joint of this name, or raise UnknownNameError."""
+        """Return the coordinate of the sliding joint `name`; UnknownNameError if it is missing."""
         return named("sliding joint", name, self.sliders)
 
     def own_states(self, name: str) -> StatesLayout:
-        """Return the states of the joint or controller of this name, or raise UnknownNameError."""
+        """Return the states of a joint or controller; UnknownNameError if there are none."""
         return named("joint or controller with states", name, (*self.sliders, *self.controllers))
 
     def plain(self) -> dict[str, Any]:
-        """Return all of it as JSON knows it; of elements the name."""
+        """Return the layout as data for JSON, with the names of elements."""
         named = [replace(beam, element=beam.element.name) for beam in self.beams]  # type: ignore[arg-type]
         return asdict(replace(self, beams=tuple(named)))
 
     def coordinate_names(self) -> list[str]:
-        """Return a name for each coordinate.
+        """Return a name for each coordinate, n_q in all.
 
         ``rod[2].y`` is the position of node 2, counted from 0, ``rod[2].slope_x.y`` its slope along
-        the beam, at a kink that after it, and ``rod[2].slope_x before.y`` that before it; ``box.y``
-        the reference point of something rigid and ``box.axis_1.y`` its first direction.
-        ``guide.travel.x`` is the coordinate `travel` of a joint. The rate of ``motor.current
-        integral.x`` is the state `current` of a controller.
+        the beam. At a kink this is the slope behind it, ``rod[2].slope_x before.y`` the slope
+        before it. ``box.y`` is the reference point of a rigid body and ``box.axis_1.y`` its first
+        direction. ``guide.travel.x`` is the coordinate `travel` of a joint. The rate of
+        ``motor.current integral.x`` is the state `current` of a controller.
         """
         soft = [beam for beam in self.beams if beam.rigid is None]
         words = {beam.name: [x.name.lower() for x in beam.element.quantities] for beam in soft}

@@ -1,4 +1,4 @@
-"""Pairs of bodies that `reach` leaves out of a load, and that come together in a run."""
+"""Check for pairs of bodies that `reach` leaves out of a contact load but that touch."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from ancfdae.model.loads.pair_contact import PairContact
 from ancfdae.model.parts import Elements
 from ancfdae.numerics.arrays import Array
 
-# A gap changes by up to this many times the largest way of a node: balls around elements move and
-# grow with both of their ends.
+# Largest change of a gap over the largest path of a node: balls around elements move and grow with
+# both of their ends.
 _WAYS: Final = 5.0
-# The smallest gap, as a part of the reach, below which only touching counts.
+# Smallest gap that is tested, as a fraction of the reach; below it only contact is tested.
 _LEAST: Final = 2.0**-7
 
 
 @final
 class LeftOutPairs:
-    """Looks along the cubic path of a run for pairs that touch and are not listed.
+    """Search along the cubic path of a run for pairs that touch but are left out.
 
-    Where no pair of these has a gap below g, none touches before a node has moved by g / 5.
+    If all gaps of such pairs exceed g, none touches before a node has moved by g / 5.
     """
 
     def __init__(self, load: PairContact, naming: SceneNaming, elements: Elements) -> None:
@@ -32,11 +32,11 @@ class LeftOutPairs:
         self._names = (*load.whole_beams, *load.whole_bodies)
         self._listed = set(map(tuple, load.pairs(elements).tolist()))
         self._missed: MissedContact | None = None
-        # How far nodes may move until gaps are measured again.
+        # Remaining path of nodes until gaps are measured again; m.
         self._left = 0.0
 
     def follow(self, t: Array, q: Array, v: Array) -> None:
-        """Look at states that follow each other."""
+        """Examine consecutive states of the run."""
         if self._missed is not None or len(t) < 2:
             return
         way = np.concatenate([[0.0], np.cumsum(self._ways(t, q, v))])
@@ -57,11 +57,11 @@ class LeftOutPairs:
         self._left -= way[-1] - done
 
     def missed(self) -> MissedContact | None:
-        """Return the first time at which a pair touches that the load does not list."""
+        """Return the first time at which a pair touches that the load leaves out, or None."""
         return self._missed
 
     def _ways(self, t: Array, q: Array, v: Array) -> Array:
-        """Return bounds of the way of the nodes in each step, (k,)."""
+        """Return upper bounds of the path of the nodes in each step, shape (k,); m."""
         h = np.diff(t)[:, None]
         middle = 3 * np.diff(q, axis=0) - h * (v[:-1] + v[1:])
         rates = [self._places(x) for x in (h * v[:-1], middle, h * v[1:])]
@@ -69,11 +69,11 @@ class LeftOutPairs:
         return np.asarray(np.max(sizes, axis=0))
 
     def _places(self, q: Array) -> list[Array]:
-        """Return the node positions of each body in rows of states, (k, n_nodes, d)."""
+        """Return the node positions of each body in states q, shape (k, n_nodes, d) each; m."""
         return [self._naming.nodes(q, name)[:, :, 0] for name in self._names]
 
     def _free_way(self, places: list[Array]) -> float:
-        """Return how far nodes may move before a pair touches, zero if one does."""
+        """Return how far nodes may move before a pair touches, m; zero if one touches."""
         now, gap = [x[0] for x in places], self._reach / 2
         while gap > _LEAST * self._reach:
             if self._all_listed(now, gap):
@@ -87,7 +87,7 @@ class LeftOutPairs:
 
 
 def _on_cubic(s: float, states: tuple[Array, Array, Array], k: int) -> Array:
-    """Return the state at the part s of step k, on the cubic through its ends, (1, n_q)."""
+    """Return the state at the fraction s of step k on the cubic through its ends, (1, n_q)."""
     t, q, v = states
     h, rise = t[k + 1] - t[k], q[k + 1] - q[k]
     bend, twist = 3 * rise - h * (2 * v[k] + v[k + 1]), h * (v[k] + v[k + 1]) - 2 * rise

@@ -1,6 +1,7 @@
 """Forces of all loads of a scene, Q = x(t) L^T F(U, V, p), with tangents and design partials.
 
-One load as numbers, and its force as a list of operations, which kernels take.
+`LoadInput` holds the numeric data of one load; its force is recorded as a list of operations for
+the kernels.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 
 from ancfdae.assembly.naming import SceneNaming, Vectors
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import LoadPlan, load_forces, load_forces_along, load_tangents
+from ancfdae.kernels import LoadPlan
 from ancfdae.model.loads.contact import ContactLoad
 from ancfdae.model.loads.load import Copies, Load
 from ancfdae.numerics.arrays import STEP, Array, only
@@ -24,12 +25,12 @@ from ancfdae.numerics.patterns import SparsityPattern
 @final
 @dataclass(frozen=True)
 class LoadInput:
-    """One load with its vectors, parameters, (n_p,), and vectors of the reference, (n_v, d).
+    """One load with its vectors, parameters, (n_p,), and reference vectors, (n_v, d).
 
-    A load may stand in several copies: their vectors follow each other, and `own` has their own
-    numbers, (n_copies, n_own), with design derivatives `own_b`, (n_copies, n_own, n_b). The
-    reference holds the vectors of the first copy. `masses` belong to the vectors of its states,
-    (n_states,), which come last.
+    A load may have several copies: their vectors follow each other, and `own` holds the numbers of
+    each copy, (n_copies, n_own), with design derivatives `own_b`, (n_copies, n_own, n_b). The
+    reference holds the vectors of the first copy. `masses`, (n_states,), belong to the vectors of
+    its states, which come last.
     """
 
     load: Load
@@ -44,19 +45,19 @@ class LoadInput:
 
     @property
     def uses_velocity(self) -> bool:
-        """Whether the force depends on velocities at these design variables."""
+        """Whether the force depends on velocities for these design variables."""
         names = self.load.parameters()
         driven = [name for name, row in zip(names, self.p_b, strict=True) if np.any(row)]
         return self.load.uses_velocity(driven)
 
     def factors(self, t: Array, order: int) -> Array:
-        """Return the law of time and its signals, or their derivatives, (k, 1 + n_signals)."""
+        """Return the law of time and the signals, or a time derivative, (k, 1 + n_signals)."""
         law = self.load.factor(self.p, t, order)[:, None]
         signals = self.load.signals(self.p, t, order)
         return law if signals is None else np.concatenate([law, signals], axis=1)
 
     def forces(self, U: Array, V: Array, signals: Array) -> Array:
-        """Return the forces on the vectors of all copies, (..., n_vectors, d), as `force`."""
+        """Return the forces on the vectors of all copies, (..., n_vectors, d), without the law."""
         if not self.own.size:
             return np.asarray(self.force(U, V, signals))
         shape = len(self.own), *self.reference.shape
@@ -67,9 +68,9 @@ class LoadInput:
         return F.reshape(*F.shape[:-3], -1, shape[-1])
 
     def force(self, U: Any, V: Any, signals: Any) -> Any:
-        """Return the forces on the vectors of a copy, without the law; w x' on vectors of states.
+        """Return the forces on the vectors of one copy without the law; w x' on states.
 
-        Its own numbers stand behind the signals.
+        The numbers of the copy follow the signals.
         """
         F = self.load.force_at(U, V, signals, self.p, self.reference)
         if not len(self.masses):
@@ -78,30 +79,30 @@ class LoadInput:
         return F * np.concatenate([np.ones(n), self.masses])[:, None]
 
     def by_copies(self, U: Array) -> Array:
-        """Return vectors of all copies, (k, n_vectors, d), as (k, n_copies, n, d)."""
+        """Return vectors of all copies, (k, n_vectors, d), in the shape (k, n_copies, n, d)."""
         return U.reshape(len(U), len(self.own), *self.reference.shape)
 
     def signals_of_copies(self, t: Array) -> Array:
-        """Return signals and own numbers of each copy at times t, (k, n_copies, n)."""
+        """Return the signals and numbers of each copy at times t, shape (k, n_copies, n)."""
         signals, shape = self.factors(t, 0)[:, None, 1:], (len(t), len(self.own))
         rows = (np.broadcast_to(x, (*shape, x.shape[-1])) for x in (signals, self.own))
         return np.real(np.concatenate(list(rows), axis=-1))
 
     def depth(self, U: Array, signals: Array) -> Array:
-        """Return depths of contacts of copies, (k, n_copies), negative where surfaces are apart."""
+        """Return the contact depth of each copy, (k, n_copies), negative if apart; m."""
         assert isinstance(self.load, ContactLoad)
         return np.real(self.load.depth(U, signals, self.p, self.reference)[..., 0, 0])
 
     def closing(self, U: Array, M: Array, signals: Array) -> Array:
-        """Return bounds of the changes of depths by movements, (k, n_copies)."""
+        """Return bounds of the changes of depths by movements M, shape (k, n_copies); m."""
         assert isinstance(self.load, ContactLoad)
         return np.real(self.load.closing(U, M, signals, self.p, self.reference)[..., 0, 0])
 
     @property
     def couplings(self) -> tuple[Array, Array]:
-        """Rows and columns of what tangents have, by pairs of rows of L and of their entries.
+        """Rows and columns of the tangents' entries, copy by copy.
 
-        Of one copy after the other.
+        They are ordered by pairs of rows of L, and within a pair by pairs of their entries.
         """
         first, column, size = self.vectors.first, self.vectors.column, self.reference.size
         known = dict[bytes, tuple[Array, Array]]()
@@ -122,8 +123,8 @@ class LoadInput:
     def plan(self, pattern: SparsityPattern) -> LoadPlan:
         """Return the force as operations, with tangents on a pattern that holds the couplings.
 
-        InvalidInputError for a force that is made of other functions than lists have, or that is no
-        force on each of its vectors.
+        InvalidInputError for a force made of functions that cannot be recorded, or that does not
+        give a force on each of its vectors.
         """
         size, vectors, copies = self.reference.size, self.vectors, max(len(self.own), 1)
         n_signals = self.factors(np.zeros(1), 0).shape[1] - 1
@@ -138,23 +139,23 @@ class LoadInput:
         return LoadPlan(indices, numbers, vectors.n_q, pattern.size, n_signals, copies)
 
     def listed(self, operations: Operations, n_signals: int) -> tuple[Array, Array]:
-        """Write the force down; return the numbers of its entries, in the shape of the vectors.
+        """Record the force; return the operations of its entries, shape of the vectors, and gates.
 
-        The first inputs of the operations are the vectors U, their time derivatives V, the signals
-        and own numbers of a copy. Returns the numbers of gates, too.
+        The inputs of the operations are the vectors U, their time derivatives V, the signals, and
+        the numbers of a copy.
         """
         size = self.reference.size
         both = np.arange(2 * size).reshape(2, *self.reference.shape)
         U, V = (Listed(operations, x) for x in both)
         signals = Listed(operations, 2 * size + np.arange(n_signals + self.own.shape[1]))
-        # What gates need comes first.
+        # The operations of gates come first.
         gates = self.load.gates(U, V, signals, self.p, self.reference)
         numbers = [U.numbers(x).ravel() for x in gates]
         forces = self._on_vectors(self.force(U, V, signals), U)
         return forces, np.concatenate([np.zeros(0, dtype=np.int64), *numbers])
 
     def _on_vectors(self, F: object, U: Listed) -> Array:
-        """Return the numbers of the forces F, in the shape of the reference vectors.
+        """Return the operations of the forces F, in the shape of the reference vectors.
 
         Raises InvalidInputError if F cannot be brought to that shape.
         """
@@ -177,13 +178,13 @@ class LoadInput:
 
     @property
     def active(self) -> list[int]:
-        """Design variables that the force depends on with q and v held."""
+        """Design variables that the force depends on at fixed q and v."""
         own = np.any(self.own_b, axis=(0, 1))
         moving = np.flatnonzero(np.any(self.p_b, axis=0) | self.vectors.moves | own)
         return sorted({*moving.tolist(), *self.reference_b})
 
     def moved(self, i: int) -> LoadInput:
-        """Return the load moved in design variable i by an imaginary step."""
+        """Return the load with design variable i perturbed by an imaginary step."""
         p, reference = self.p + 1j * STEP * self.p_b[:, i], self.reference
         if i in self.reference_b:
             reference = reference + 1j * STEP * self.reference_b[i]
@@ -194,7 +195,10 @@ class LoadInput:
 def own_numbers(
     copies: Copies | None, naming: SceneNaming, p: Array, p_b: Array
 ) -> tuple[Array, Array]:
-    """Return the own numbers of copies, (n, n_own), with design derivatives; one by default."""
+    """Return the numbers of each copy of a load, (n, n_own), with design derivatives.
+
+    A load without copies gets one row without numbers.
+    """
     n_b = naming.lengths_b.shape[1]
     if copies is None:
         return np.zeros((1, 0)), np.zeros((1, 0, n_b))
@@ -213,7 +217,7 @@ def own_numbers(
 
 
 def _described(force: Any) -> str:
-    """Say what a force is, with the kind of its entries instead of symbols."""
+    """Return a text on the shape or type of a force, for an error message."""
     if isinstance(force, Listed):
         return f"shape {force.shape}"
     if isinstance(force, list | tuple | np.ndarray):
@@ -230,31 +234,31 @@ class MovingLoad:
     plan: LoadPlan
 
     def force(self, q: Array, v: Array, t: Array) -> Array:
-        """Return the force of this load, shape (n_q,), at time t."""
-        return load_forces(self.plan, self.item.factors(t, 0), q, v)
+        """Return the generalised force of this load at times t, shape (k, n_q)."""
+        return self.plan.forces(self.item.factors(t, 0), q, v)
 
     def force_along(
         self, states: tuple[Array, Array], rates: tuple[Array, Array], t: Array, dt: float
     ) -> Array:
-        """Differentiate its Q along rates of (q, v) and of time."""
+        """Return the derivative of the load's Q along rates of q and v and the rate dt of time."""
         factors, of_time = self.item.factors(t, 0), dt * self.item.factors(t, 1)
-        dQ = load_forces_along(self.plan, factors, of_time, *states, *rates)
+        dQ = self.plan.forces_along(factors, of_time, *states, *rates)
         if self.item.load.law is None:
             return dQ
-        return dQ + load_forces(self.plan, of_time, *states)
+        return dQ + self.plan.forces(of_time, *states)
 
     def tangents(self, q: Array, v: Array, t: Array, velocity: bool) -> Array:
-        """Return values of Q_q or Q_v."""
-        return load_tangents(self.plan, self.item.factors(t, 0), q, v, velocity)
+        """Return the values of Q_v if `velocity`, else of Q_q, on the pattern, (k, nnz)."""
+        return self.plan.tangents(self.item.factors(t, 0), q, v, velocity)
 
 
 @final
 class LoadForces:
-    """Sum of all loads; states have instants as leading axis, (k, n_q), and t is (k,).
+    """Sum of the forces of all loads; states have the shape (k, n_q) at times t, (k,).
 
-    Of loads that depend on neither positions nor velocities those without a law are one vector,
-    `_steady`, and those with one a row each that the law multiplies. The pattern must hold the
-    couplings of the loads that move.
+    Of loads that depend on neither positions nor velocities, those without a law are summed in one
+    vector, `_steady`; each of the others has a row in `_timed` that its law multiplies. The pattern
+    must hold the couplings of all other loads.
     """
 
     def __init__(self, inputs: Sequence[LoadInput], pattern: SparsityPattern, n_b: int) -> None:
@@ -280,7 +284,8 @@ class LoadForces:
                 self._steady = self._steady + row
             else:
                 self._timed.append((item, row))
-        # One for each law of `factors` whose load turns with the motion, else zero.
+        # One for each law of `factors` whose load depends on the motion and is no stiffness, else
+        # zero.
         turning = np.zeros(len(self._timed))
         for load in self._moving:
             signals = np.zeros(load.item.factors(np.zeros(1), 0).shape[1] - 1)
@@ -288,33 +293,33 @@ class LoadForces:
         self.turning = turning
 
     def plans(self) -> tuple[tuple[LoadPlan, bool], ...]:
-        """Return plans of the moving loads for the kernels, and whether they use velocities."""
+        """Return the kernel plans of moving loads, and whether each uses velocities."""
         return tuple((load.plan, load.item.uses_velocity) for load in self._moving)
 
     def touching(self) -> list[MovingLoad]:
-        """Return the loads that act during short contacts."""
+        """Return the contact loads of the scene."""
         return [load for load in self._moving if load.item.load.touches]
 
     def sharp(self) -> list[LoadInput]:
-        """Return the loads that may change more suddenly than the motion does."""
+        """Return the loads whose force may change abruptly with positions or velocities."""
         return [load.item for load in self._moving if load.item.load.sharp]
 
     def timed(self) -> tuple[Array, Array]:
-        """Return the sum of constant loads, (n_q,), and what laws multiply, (n_loads, n_q)."""
+        """Return the sum of constant loads, (n_q,), and the rows that laws multiply, (n, n_q)."""
         rows = [row for _, row in self._timed]
         return self._steady, np.array(rows).reshape(len(rows), self._n_q)
 
     def factors(self, t: Array) -> Array:
-        """Return the laws at times t, (k, n): of loads that do not move, then of others.
+        """Return law values of loads at times t, (k, n): of constant loads, then of moving loads.
 
-        Behind the law of a load stand its signals.
+        The law of a load is followed by its signals.
         """
         items = [item for item, _ in self._timed] + [load.item for load in self._moving]
         columns = [item.factors(t, 0) for item in items]
         return np.concatenate(columns, axis=1) if columns else np.zeros((len(t), 0))
 
     def force(self, q: Array, v: Array, t: Array) -> Array:
-        """Return the sum Q of all loads in k states, shape (k, n_q)."""
+        """Return the sum Q of all loads at times t, shape (k, n_q)."""
         Q = self._steady[None]
         if len(q) != 1:
             Q = np.broadcast_to(Q, (len(q), self._n_q))
@@ -325,9 +330,9 @@ class LoadForces:
         return Q
 
     def following(self, q: Array, t: Array) -> tuple[Array, Array]:
-        """Return the loads that turn with the motion, at rest, of one instant, and their tangent.
+        """Return the follower loads at zero velocity, (n_q,), and the values of their tangent.
 
-        Shape (n_q,), and values on the pattern.
+        They are the loads that depend on the motion and are no stiffness, at one time.
         """
         Q, Q_q = np.zeros(self._n_q, dtype=q.dtype), np.zeros(self._pattern.size)
         rest = np.zeros((1, self._n_q))
@@ -340,7 +345,7 @@ class LoadForces:
     def force_along(
         self, states: tuple[Array, Array], rates: tuple[Array, Array], t: Array, dt: float
     ) -> Array:
-        """Differentiate Q along rates of (q, v) and of time, shape (k, n_q)."""
+        """Return the derivative of Q along rates of q and v and the rate dt of time, (k, n_q)."""
         change = np.zeros((len(states[0]), self._n_q), dtype=np.result_type(*states, *rates))
         for item, row in self._timed:
             change = change + dt * item.factors(t, 1) * row
@@ -349,7 +354,7 @@ class LoadForces:
         return change
 
     def subtract_tangents(self, q: Array, v: Array, t: Array, K: Array, D: Array | None) -> None:
-        """Subtract Q_q, and Q_v where asked for, from values on the pattern, shape (k, nnz)."""
+        """Subtract Q_q from K, and Q_v from D unless None, on the pattern, shape (k, nnz)."""
         q, v = q.real, v.real
         for load in self._moving:
             K -= load.tangents(q, v, t, False).real
@@ -365,13 +370,13 @@ class LoadForces:
         Q_q: Array,
         Q_v: Array | None,
     ) -> None:
-        """Add the derivatives of Q_q and Q_v along rates of one instant, shape (1, nnz)."""
+        """Add the derivatives of Q_q and Q_v along rates, at one time, to arrays (1, nnz)."""
         q, v = (x[None].real + 1j * STEP * dx.real for x, dx in zip(states, rates, strict=True))
         for load in self._moving:
             factors = load.item.factors(t, 0).real + 1j * STEP * dt * load.item.factors(t, 1).real
-            Q_q += load_tangents(load.plan, factors, q, v, False).imag / STEP
+            Q_q += load.plan.tangents(factors, q, v, False).imag / STEP
             if Q_v is not None and load.item.uses_velocity:
-                Q_v += load_tangents(load.plan, factors, q, v, True).imag / STEP
+                Q_v += load.plan.tangents(factors, q, v, True).imag / STEP
 
     def force_along_pull_back(
         self,
@@ -381,14 +386,14 @@ class LoadForces:
         dt: float,
         mu: Array,
     ) -> Array:
-        """Design partial of mu . `force_along` with everything else held, shape (n_b,)."""
+        """Return mu^T d/db `force_along` at fixed states and rates, at one time, shape (n_b,)."""
         q, v, u, z = (x[None] for x in (*states, *rates))
         return self._partial(
             lambda moved: np.sum(moved.force_along((q, v), (u, z), t, dt) * mu), ()
         )
 
     def force_total(self, q: Array, v: Array, t: Array, q_b: Array, v_b: Array) -> Array:
-        """Total design derivative of Q for one instant, shape (n_q, n_b)."""
+        """Return the total design derivative of Q at one time, shape (n_q, n_b)."""
         moved = q + 1j * STEP * q_b.T, v + 1j * STEP * v_b.T
         along = self.force(*moved, np.repeat(t, len(moved[0])))
         return along.imag.T / STEP + only(self.force_b(q[None], v[None], t))
@@ -401,9 +406,9 @@ class LoadForces:
         dt: float,
         moved_by: tuple[Array, ...],
     ) -> Array:
-        """Total design derivative of `force_along` for one instant, shape (n_q, n_b).
+        """Return the total design derivative of `force_along` at one time, shape (n_q, n_b).
 
-        `moved_by` are the derivatives of the states and of the rates.
+        `moved_by` are the design derivatives of the states and of the rates.
         """
         q, v, u, z = (x[None] for x in (*states, *rates))
         total = self._partial(
@@ -415,22 +420,22 @@ class LoadForces:
         return along.imag.T / STEP + total
 
     def force_b(self, q: Array, v: Array, t: Array) -> Array:
-        """Return the design partials of Q in k states, shape (k, n_q, n_b)."""
+        """Return the design partials of Q at times t, shape (k, n_q, n_b)."""
         return self._partial(lambda moved: moved.force(q.real, v.real, t), (len(q), self._n_q))
 
     def pull_back(self, q: Array, v: Array, t: Array, mu: Array) -> Array:
-        """Sum over instants of Q_b^T mu, shape (n_b,); mu has shape (k, n_q)."""
+        """Return the sum over times of Q_b^T mu, shape (n_b,); mu has shape (k, n_q)."""
         return self._partial(lambda moved: np.sum(moved.force(q, v, t) * mu), ())
 
     def _partial(self, of: Callable[[LoadForces], Array], shape: tuple[int, ...]) -> Array:
-        """Design partial of something of this shape that the loads give, (*shape, n_b)."""
+        """Return the design partial, (*shape, n_b), of a function `of` the loads."""
         result = np.zeros((*shape, self._n_b))
         for i in self._active:
             result[..., i] = of(self._reaching(i)).imag / STEP
         return result
 
     def _reaching(self, i: int) -> LoadForces:
-        """Return the loads that design variable i reaches, moved by an imaginary step."""
+        """Return the loads that depend on design variable i, perturbed by an imaginary step."""
         if i not in self._moved:
             inputs = [item.moved(i) for item in self._inputs if i in item.active]
             self._moved[i] = LoadForces(inputs, self._pattern, self._n_b)

@@ -1,8 +1,7 @@
-"""Names of points and multipliers as maps of coordinates; vectors of many points, U = L q.
+"""Vectors of named points as linear maps of coordinates, U = L q, and names in results.
 
-Maps from coordinates to vectors of named points, and from multipliers to those of a joint.
-
-Vectors of material points, many at once: U = L q, and forces on them lifted to L^T F.
+A `SceneNaming` maps coordinates to vectors of named points, and lam to the multipliers of a joint.
+`Vectors` holds the vectors of many points; L^T F are the generalised forces of forces F on them.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from ancfdae.model.parts import Vectors as Names
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import LinearMap
 
-# Vectors of points that are kept.
+# Largest number of cached vectors of points.
 _KEPT = 64
 
 
@@ -35,10 +34,9 @@ _KEPT = 64
 class PointVector:
     """A position or slope vector of a material point as a combination of vectors of its body.
 
-    `vectors`, (n_a,), has their numbers in the scene; vector k has the coordinates d k to
-    d k + d - 1. `weights` is (n_a,), with design derivatives (n_a, n_b). A vector
-    that is `turned` is this combination turned by a right angle, from x to y, as the constraints
-    take it.
+    `vectors`, (n_a,), are their indices in the scene; vector k has the coordinates d k to d k + d -
+    1. `weights` is (n_a,), with design derivatives (n_a, n_b). If `turned`, the vector is this
+    combination rotated by a right angle from x to y, which `Vectors` takes into account.
     """
 
     vectors: Array
@@ -47,7 +45,7 @@ class PointVector:
     turned: bool = False
 
     def of(self, states: Array, d: int) -> Array:
-        """Return the vector in states of shape (..., n_q), shape (..., d)."""
+        """Return the position or slope vector, (..., d), at coordinates q, (..., n_q)."""
         X = states.reshape(*states.shape[:-1], -1, d)[..., self.vectors, :]
         return np.einsum("a,...ad->...d", self.weights, X)
 
@@ -57,8 +55,8 @@ class PointVector:
 class SceneNaming(Naming):
     """Maps from coordinates to vectors of named points, and from joints to their multipliers.
 
-    Vectors of points between nodes depend on the lengths of elements, (n_elements,), and so on the
-    design through `lengths_b`, (n_elements, n_b).
+    Vectors of points between nodes depend on the lengths of elements, (n_elements,), m, and so on
+    the design by `lengths_b`, (n_elements, n_b).
     """
 
     layout: Layout
@@ -67,15 +65,15 @@ class SceneNaming(Naming):
 
     @cached_property
     def _known(self) -> dict[tuple[MaterialPoint, Quantity], PointVector]:
-        """Vectors of points that were asked for."""
+        """Cache of the position and slope vectors of points."""
         return {}
 
     def vector(
         self, point: MaterialPoint, quantity: Quantity, place: tuple[Array, Array] | None = None
     ) -> PointVector:
-        """Return how a vector of a material point is made of vectors of its body.
+        """Return a vector of a material point as a combination of vectors of its body.
 
-        `place` has the `MaterialPoint.numbers`, (3,), and their design derivatives, (3, n_b), where
+        `place` holds the `MaterialPoint.numbers`, (3,), and their design derivatives, (3, n_b), if
         the design may move the point.
 
         Raises UnknownNameError if the scene has no body of that name, InvalidInputError if the
@@ -113,7 +111,7 @@ class SceneNaming(Naming):
         return self._of_elements(beam, np.array([local]), s, s_b)
 
     def on_line(self, at: LineVector) -> PointVector:
-        """Return how a vector on the centre line of a beam is made of vectors of its nodes."""
+        """Return a vector on the centre line of a beam as a combination of its node vectors."""
         beam = self.layout.beam(at.beam)
         weights = self._weights(beam, at.element, at.quantity, (at.xi, 0.0, 0.0))
         return self._of_elements(beam, np.array([at.element]), *weights)
@@ -121,7 +119,7 @@ class SceneNaming(Naming):
     def _weights(
         self, beam: BeamLayout, element: int, quantity: Quantity, place: tuple[Any, Any, Any]
     ) -> tuple[Array, Array]:
-        """Return weights of a vector at (xi, y, z) of an element, and of their part by lengths."""
+        """Return weights of node vectors in a vector at (xi, y, z), and length derivatives."""
         w, p = beam.element.vector_weights(quantity, *place)
         at = beam.first_element + element
         l = self.lengths[at]
@@ -129,7 +127,7 @@ class SceneNaming(Naming):
         return w * l**p, s_l[:, None] * self.lengths_b[at]
 
     def position(self, states: Array, point: Any) -> Array:
-        """Return the position of a point in states of shape (k, n_q), shape (k, d)."""
+        """Return the position of a point in states of shape (k, n_q), shape (k, d); m."""
         return self._in_states(states, point, Quantity.POSITION)
 
     def slope(self, states: Array, point: Any, along: int) -> Array:
@@ -142,12 +140,12 @@ class SceneNaming(Naming):
         return self.vector(point, quantity).of(states, self.layout.d)
 
     def rows(self, joint: str) -> slice:
-        """Return the places of the multipliers of a joint."""
+        """Return the slice of the multipliers of a joint in lam."""
         place = self.layout.joint(joint)
         return slice(place.first_row, place.first_row + place.rows)
 
     def reaction(self, lam: Array, joint: str) -> Array:
-        """Return the force of a joint on its first point, minus its multipliers, shape (k, d)."""
+        """Return the force of a joint on its first point, minus its multipliers, (k, d); N."""
         if not self.layout.joint(joint).holds_position:
             raise InvalidInputError(
                 f"reaction of {joint!r}",
@@ -158,11 +156,11 @@ class SceneNaming(Naming):
         return -lam[:, self.rows(joint)][:, : self.layout.d]
 
     def coordinate_names(self) -> list[str]:
-        """Return a name for each coordinate."""
+        """Return a name for each coordinate, n_q in all."""
         return self.layout.coordinate_names()
 
     def centred(self, q: Array, weights: Array) -> Array:
-        """Return coordinates moved as a whole to where the mean of positions is zero."""
+        """Return the coordinates translated so that the weighted mean of positions is zero."""
         X, w = (x.reshape(-1, self.layout.d) for x in (q, weights))
         places = np.concatenate([body.positions for body in self.layout.bodies])
         X = X.copy()
@@ -170,15 +168,15 @@ class SceneNaming(Naming):
         return X.ravel()
 
     def stepped(self, variable: int, step: complex) -> SceneNaming:
-        """Return the names where a design variable is larger by a step."""
+        """Return the naming with a design variable increased by a step, real or complex."""
         return replace(self, lengths=self.lengths + step * self.lengths_b[:, variable])
 
     def motions_in_words(self, q: Array, motions: Array) -> str:
-        """Say which beams and bodies move, and how, in motions without stiffness."""
+        """Return a text on which bodies move, and how, in motions without stiffness."""
         return motions_in_words(self.layout, q.real, motions)
 
     def packed(self) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Return the arrays and the JSON data of which `load_solution` makes the naming."""
+        """Return the arrays and JSON data from which `load_solution` restores the naming."""
         return {"lengths": self.lengths, "lengths_b": self.lengths_b}, self.layout.plain()
 
     def nodes(self, states: Array, name: str) -> Array:
@@ -204,7 +202,7 @@ class SceneNaming(Naming):
         return X.reshape(len(states), -1, 2, body.stride, d)
 
     def centre_line(self, beam: str) -> PointVector:
-        """Return the integral of the position along the centre line of a beam.
+        """Return the integral of the position along a beam as a combination of node vectors.
 
         Per element int r dx = l (r_1 + r_2)/2 + l^2 (r_x1 - r_x2)/12.
         """
@@ -222,12 +220,12 @@ class SceneNaming(Naming):
         return self._of_elements(place, np.arange(len(l)), *by_vector)
 
     def direction(self, body: str, number: int) -> PointVector:
-        """Return a direction of the axes of something rigid, counted from 1 on."""
+        """Return an axis direction of a rigid body as a vector, counted from 1."""
         at = self.layout.body(body).vectors[[number]]
         return PointVector(at, np.ones(1), np.zeros((1, self.lengths_b.shape[1])))
 
     def state(self, owner: str, number: int) -> PointVector:
-        """Return the vector of a state of a controller or a joint, counted from 0 on."""
+        """Return the vector of a state of a controller or joint, counted from 0."""
         at = np.array([self.layout.own_states(owner).first_vector + number])
         return PointVector(at, np.ones(1), np.zeros((1, self.lengths_b.shape[1])))
 
@@ -246,7 +244,7 @@ class SceneNaming(Naming):
         numbers: Array,
         numbers_b: Array,
     ) -> PointVector:
-        """Return r + x d_1 + y d_2 + z d_3, or one of these directions."""
+        """Return r + x d_1 + y d_2 + z d_3 of a rigid body, or one of its directions d_i."""
         if point.fraction is not None:
             raise InvalidInputError(
                 f"point of {point.beam!r}",
@@ -266,9 +264,9 @@ class SceneNaming(Naming):
     def _of_elements(
         self, beam: BeamLayout, elements: Array, weights: Array, weights_b: Array
     ) -> PointVector:
-        """Return a combination of the vectors of both ends of elements, (m n_a,) in a row.
+        """Return a combination of the vectors of both ends of elements, given as (m n_a,).
 
-        Those of a rigid beam are combinations of the vectors of its frame.
+        For a rigid beam it is converted into a combination of the vectors of its frame.
         """
         n_s, body = beam.element.n_s, self.layout.body(beam.name)
         if beam.rigid is None:
@@ -292,10 +290,11 @@ class SceneNaming(Naming):
 @final
 @dataclass(frozen=True, eq=False)
 class Vectors:
-    """A list of point vectors as one linear map U = L q with design derivatives.
+    """Vectors of points as one linear map U = L q with design derivatives.
 
-    Row d i + c of L is component c of vector i. Its entries stand row by row, those of row r are
-    first[r] to first[r + 1] - 1; `change` are partials of the entries `changed`, in variables each.
+    Row d i + c of L is component c of vector i. Its entries are stored row by row, those of row r
+    being first[r] to first[r + 1] - 1; `change` are the partials of the entries `changed` with
+    respect to the variables `variable`.
     """
 
     d: int
@@ -310,7 +309,7 @@ class Vectors:
 
     @staticmethod
     def of_points(vectors: Sequence[PointVector], d: int, n_q: int, n_b: int) -> Vectors:
-        """Return the map of vectors."""
+        """Return the map U = L q of a sequence of point vectors."""
         place = np.concatenate([np.zeros(0, dtype=np.int64), *(x.vectors for x in vectors)])
         weight = np.concatenate([np.zeros(0), *(x.weights for x in vectors)])
         weight_b = np.concatenate([np.zeros((0, n_b)), *(x.weights_b for x in vectors)])
@@ -318,10 +317,10 @@ class Vectors:
         used = np.flatnonzero((weight != 0) | (weight_b != 0).any(axis=1))
         turned = np.array([x.turned for x in vectors], dtype=bool)[owner[used]]
         axes = np.arange(d)[:, None]
-        # U turned by a right angle is (-U_y, U_x).
+        # U rotated by a right angle is (-U_y, U_x).
         component = np.where(turned, 1 - axes, axes)
         sign = np.where(turned, 2 * axes - 1, np.ones_like(axes))
-        # Vector by vector, and of each axis by axis.
+        # Ordered by vector, then by axis.
         order = np.argsort((owner[used] * d + axes).ravel(), kind="stable")
         column = (place[used] * d + component).ravel()[order]
         value = (sign * weight[used]).ravel()[order]
@@ -332,9 +331,9 @@ class Vectors:
         return Vectors(d, n_q, n_b, first, column, value, at, variable, value_b[at, variable])
 
     def couplings(self, which: slice) -> tuple[Array, Array]:
-        """Return rows and columns of L_i^T L_j for all pairs of rows of L of some vectors.
+        """Return rows and columns of the products L_i^T L_j for all rows of L of some vectors.
 
-        By pairs of rows, and of each by pairs of their entries.
+        They are ordered by pairs of rows, and within a pair by pairs of their entries.
         """
         first = self.first[which.start * self.d : which.stop * self.d + 1]
         row = np.repeat(np.arange(len(first) - 1), np.diff(first))
@@ -344,13 +343,13 @@ class Vectors:
         return column[i[order]], column[j[order]]
 
     def is_like(self, other: Vectors) -> bool:
-        """Whether the matrices L of both have their entries in the same places."""
+        """Whether the matrix L of `other` has its entries at the same indices."""
         places = (self.first, other.first), (self.column, other.column)
         return all(np.array_equal(x, y) for x, y in places)
 
     @property
     def count(self) -> int:
-        """Number of vectors of points."""
+        """Number of vectors in the map."""
         return (len(self.first) - 1) // self.d
 
     @cached_property
@@ -359,11 +358,11 @@ class Vectors:
 
     @cached_property
     def moves(self) -> Array:
-        """Whether L depends on each design variable, (n_b,)."""
+        """Whether L depends on each design variable, shape (n_b,)."""
         return np.asarray(np.bincount(self.variable, minlength=self.n_b) > 0)
 
     def moved(self, i: int) -> Vectors:
-        """Return the vectors moved in design variable i by an imaginary step."""
+        """Return the vectors with design variable i perturbed by an imaginary step."""
         if not self.moves[i]:
             return self
         chosen, value = self.variable == i, self.value.astype(complex)
@@ -371,18 +370,18 @@ class Vectors:
         return replace(self, value=value)
 
     def of(self, q: Array) -> Array:
-        """Return U for rows of q, shape (k, n_v, d)."""
+        """Return the vectors U, shape (k, n_v, d), for rows of q, shape (k, n_q)."""
         return self._L(q).reshape(len(q), self.count, self.d)
 
     def of_b(self, q: Array) -> Array:
-        """Return the design partial of U with q held, shape (k, n_v, d, n_b)."""
+        """Return the design partial of U at fixed q, shape (k, n_v, d, n_b)."""
         result = np.zeros((len(q), self.count, self.d, self.n_b), dtype=q.dtype)
         for i in np.flatnonzero(self.moves):
             result[..., i] = self.moved(int(i)).of(q.real).imag / STEP
         return result
 
     def lift(self, F: Array) -> Array:
-        """Return L^T F, shape (k, n_v, d) to (k, n_q)."""
+        """Return the generalised forces L^T F, shape (k, n_q), of forces F, shape (k, n_v, d)."""
         return self._L.transposed(F.reshape(len(F), math.prod(F.shape[1:])))
 
 
@@ -391,7 +390,10 @@ def point_vectors(
     names: Names,
     places: Mapping[MaterialPoint, tuple[Array, Array]] | None = None,
 ) -> list[PointVector]:
-    """Return the vectors that a joint or load names; `places` of points as for `Naming.vector`."""
+    """Return the vectors declared by a joint or load as combinations of body vectors.
+
+    `places` are coordinates of points and their derivatives, as for `SceneNaming.vector`.
+    """
     vectors = []
     on_lines = {x: naming.on_line(x) for x in {x for x in names if isinstance(x, LineVector)}}
     for name in names:

@@ -1,9 +1,9 @@
-"""Numbering of coordinates: vectors of d numbers, of all beams and rigid bodies in a row.
+"""Numbering of coordinates: vectors of d numbers, body by body.
 
-A beam has n_s vectors per node and one more per kink, what is rigid one frame of d + 1 vectors: its
-reference point and its directions (docs/theory/02-strain-energy.md). Behind them each coordinate of
-a joint's own, and then each state of a controller, has a vector (docs/theory/17-controllers.md and
-20-cables.md).
+A beam has n_s vectors per node and one more per kink; a rigid body or beam has one frame of d + 1
+vectors: its reference point and its directions (docs/theory/02-strain-energy.md). Then follow one
+vector for each coordinate that a joint adds, and one for each state of a controller
+(docs/theory/17-controllers.md and 20-cables.md).
 """
 
 from collections.abc import Iterable
@@ -23,33 +23,32 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True)
 class Numbering:
-    """Coordinates of every body and every element that deforms."""
+    """Indices of the coordinates of every body and every flexible element."""
 
     d: int  # dimension of space
     bodies: tuple[BodyLayout, ...]  # of all beams and rigid bodies in the order of their vectors
     beams: tuple[BeamLayout, ...]
     rigid: Array  # of bool, (n_bodies,)
-    elements: Array  # of int, (n,): scene-wide numbers of the elements that deform
-    # of those that deform one whose nodes have all vectors that the nodes of others have.
+    elements: Array  # of int, (n,): indices of the flexible elements in the scene
+    # flexible element whose nodes have all vectors that nodes of other flexible elements have.
     widest: BeamElement
-    # of int, (n, n_a): scene-wide numbers of their node vectors; vector k has the coordinates d k
-    # to d k + d - 1. Rows of elements that have fewer vectors than the widest are filled up with
-    # their first one.
+    # of int, (n, n_a): indices of their node vectors; vector k has the coordinates d k to d k + d -
+    # 1. Rows of elements with fewer vectors than the widest repeat their first vector.
     vectors: Array
     n_q: int  # number of coordinates
-    # of int, (n, d + 1): vectors of every node with d slopes, and of everything rigid; each begins
-    # with the position.
+    # of int, (n, d + 1): vectors of every node with d slopes, and of rigid bodies and beams; each
+    # row begins with the position.
     sections: Array
-    frames: Array  # of int, (n_rigid, d + 1): vectors of everything rigid
+    frames: Array  # of int, (n_rigid, d + 1): vectors of rigid bodies and beams
     positions: Array  # of int: vectors that are positions
     sliders: tuple[StatesLayout, ...]
     controllers: tuple[StatesLayout, ...]
-    masses: Array  # of the vectors of states of joints and controllers, (n_states,)
+    masses: Array  # (n_states,): masses of the vectors of states of joints and controllers
     controlled: int  # number of states of controllers, whose vectors are the last ones
-    routed: bool  # whether a part has a guide or pulleys that a motion may leave
+    routed: bool  # whether a joint or load has a guide or pulleys that a motion may leave
 
     def rigid_motions(self) -> RigidMotions:
-        """Return the rigid motions of all bodies."""
+        """Return the rigid motions of all bodies, as maps on the coordinates."""
         counts = [body.count for body in self.bodies]
         # Vectors of states start at zero and are no positions: no motion of a body moves them.
         counts[-1] += len(self.masses)
@@ -59,24 +58,24 @@ class Numbering:
         return RigidMotions(owner, is_position, self.d)
 
     def size(self, weights: Array) -> float:
-        """Return the size of the bodies in the norm of weights of coordinates, (n_q,)."""
+        """Return the size of the bodies in the norm with weights of coordinates, (n_q,)."""
         w = weights.reshape(-1, self.d)[:, 0]
         return float(np.sqrt(sum(np.sum(w[x.positions]) * x.size**2 for x in self.bodies)))
 
     @property
     def owners(self) -> Array:
-        """Place among the bodies of the beam of each element that deforms, shape (n,)."""
+        """Index of the beam of each flexible element among the bodies, shape (n,)."""
         counts = [0 if beam.rigid else beam.element_count for beam in self.beams]
         return np.repeat(np.arange(len(self.beams)), counts)
 
     def coordinates(self, vectors: Array) -> Array:
-        """Return coordinate numbers of node vectors; a trailing axis d is added."""
+        """Return the coordinate indices of vectors, shape (..., d) for indices of shape (...)."""
         return vectors[..., None] * self.d + np.arange(self.d)
 
     def couplings(self, turning: bool) -> tuple[Array, Array]:
-        """Return rows and columns that couple coordinates of an element, or of a rigid body.
+        """Return rows and columns of entries that couple coordinates of an element or rigid body.
 
-        Directions of space are coupled within rigid bodies by a turning frame only.
+        Within rigid bodies only a rotating frame (`turning`) couples directions of space.
         """
         size = self.vectors.shape[1] * self.d
         soft = self.coordinates(self.vectors).reshape(-1, size)
@@ -87,7 +86,7 @@ class Numbering:
 
 
 def coupled(blocks: Iterable[Array]) -> tuple[Array, Array]:
-    """Return rows and columns that couple x[i, a, c] and x[i, b, c] of coordinates x, (n, k, m)."""
+    """Return row and column indices of entries (x[i, a, c], x[i, b, c]) for blocks x, (n, k, m)."""
     rows, columns = [], []
     for x in blocks:
         shape = (len(x), x.shape[1], *x.shape[1:])
@@ -97,7 +96,7 @@ def coupled(blocks: Iterable[Array]) -> tuple[Array, Array]:
 
 
 def number(scene: Scene) -> Numbering:
-    """Assign numbers to the coordinates of a scene, body by body and node by node."""
+    """Return the numbering of a scene, body by body and node by node."""
     bodies, beams, vectors, elements = [], [], [], []
     sections, frames, positions = [], [], []
     soft = [beam.element for beam in scene.beams if not beam.rigid]

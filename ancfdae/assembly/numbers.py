@@ -1,32 +1,24 @@
-"""Numbers of a scene at design values, on a structure that does not depend on them.
-
-Masses of the vectors of states, so that a state counts in norms as the motion does.
+"""Numbers of a scene at design values b, on a structure that does not depend on them.
 
 A state x of a controller is the rate of a vector with a mass w, w x' = w f. The motion does not
-depend on w, but norms of forces and velocities do, by which iterations and tolerances are measured.
+depend on w, but norms of forces and velocities do, in which iterations and tolerances are measured.
 With W the weights of the coordinates q of the mechanism, at the start,
 
     g = |Q_x|,   e = |f_q|,   d = |f_v|   in the norm of 1/W,
 
-1/T is the largest of the rates |f_x|, (g d)^(1/2) and (g e)^(1/3): of the state by itself, and of
-the loop that it closes with the mechanism. Then w = (g T)^2: sqrt(w) x is the velocity, in the norm
-of W, that the forces of x cause in the time T. A state that acts on no axis has
-w = 1/(e T^2)^2 or 1/(d T)^2, the same from its input; one that only meets other states has theirs
-through f_x. The unit of w is an energy over x^2, so that units and places do not matter.
+1/T is the largest of the rates |f_x|, (g d)^(1/2) and (g e)^(1/3): the rate of the state by itself,
+and the rates of the loop that it closes with the mechanism. Then w = (g T)^2: sqrt(w) x is the
+velocity, in the norm of W, that the forces of x cause in the time T. A state that acts on no axis
+has w = 1/(e T^2)^2 or 1/(d T)^2, from its input; a state coupled to other states only gets its mass
+from theirs by f_x. The unit of w is an energy over x^2, so that units and positions do not matter.
+If all these partials are zero at the start, as for an effort with the square of a state that starts
+from zero, w = (l / (T X))^2 with the size l of the mechanism in the norm of W and the size X of the
+state, the largest of |x|, T |f| and T^2 |f_t|. If all those rates are zero, 1/T is |f_t| / |f|.
 
-Where all these partials are zero at the start, as of an effort with the square of a state that
-starts from zero, w = (l / (T X))^2 with the size l of the mechanism in the norm of W and the size
-X of the state, the largest of |x|, T |f| and T^2 |f_t|. If all of those rates are
-zero, 1/T is |f_t| / |f|.
-
-The structure holds owners, numbering, joints and patterns.
-
-Numbers say where parts stand, and hold forces, masses and the start.
-
-They come in groups, each with the design variables that reach it. At other values of the design a
-group that none of the changed variables reaches is taken over as it is, with all that it has
-computed: Young's modulus leaves joints and the closed start alone. The others are made anew on the
-same structure.
+The structure holds sizes, numbering and sparsity patterns. Numbers hold positions, forces, masses
+and the start, in groups. At other design values a group that depends on none of the changed
+variables is reused with everything that it has computed (Young's modulus leaves joints and the
+assembled start unchanged); the other groups are computed again on the same structure.
 """
 
 from __future__ import annotations
@@ -72,7 +64,7 @@ from ancfdae.numerics.patterns import SparsityPattern
 def state_masses(item: LoadInput, weights: Array, size: float) -> Array:
     """Return the masses of the vectors of the states of a load, shape (n_states,).
 
-    One where all partials and rates vanish, or numbers overflow. `weights` belong to the
+    They are one if all partials and rates vanish, or if numbers overflow. `weights` belong to the
     coordinates of the mechanism, (n_q,), and `size` is its size in their norm.
     """
     n = len(item.masses)
@@ -87,7 +79,7 @@ def state_masses(item: LoadInput, weights: Array, size: float) -> Array:
     root = g * T
     for from_input in (1 / _or_infinite(e * T**2), 1 / _or_infinite(d * T)):
         root = np.where(root > 0, root, from_input)
-    # Root by root from states that meet the mechanism to those that meet these.
+    # From states coupled to the mechanism on to states coupled to these.
     for _ in range(n):
         for j, k in np.argwhere((root[:, None] == 0) & (root > 0)).tolist():
             out, into = abs(f_x[k, j]) * T[k], abs(f_x[j, k]) * T[j]
@@ -103,7 +95,7 @@ def _or_infinite(x: Array) -> Array:
 
 
 def _first_rates(item: LoadInput) -> tuple[Array, Array, Array]:
-    """Return the states, their rates f and the partials f_t in time at the start, (n,) each."""
+    """Return the states, their rates f, and the partials f_t in time at t = 0, (n,) each."""
     U, V, first = _at_start(item)
     signals, rates = (item.factors(np.zeros(1), k)[0, 1:] for k in (0, 1))
     F = item.force(U + 0j, V + 0j, signals + 1j * STEP * rates)[first:, 0]
@@ -111,7 +103,7 @@ def _first_rates(item: LoadInput) -> tuple[Array, Array, Array]:
 
 
 def _at_start(item: LoadInput) -> tuple[Array, Array, int]:
-    """Return U in the reference configuration, V of the states alone, and the first state."""
+    """Return U in the reference, V with rates of states only, and the first state's index."""
     U = item.reference.real
     first, V = len(U) - len(item.masses), np.zeros_like(U)
     V[first:, 0] = np.real(item.load.initial_states(item.p.real))
@@ -119,9 +111,9 @@ def _at_start(item: LoadInput) -> tuple[Array, Array, int]:
 
 
 def _partials(item: LoadInput) -> tuple[Array, Array, Array, Array]:
-    """Return rows Q_x, f_q and f_v, (n, n_q) each, and f_x, (n, n), at the start of the states.
+    """Return Q_x, f_q and f_v, (n, n_q) each, and f_x, (n, n), at t = 0.
 
-    The mechanism stands in its reference configuration; masses in `item` are one.
+    The mechanism is in its reference configuration; masses in `item` are one.
     """
     n, (U, V, first) = len(item.masses), _at_start(item)
     signals, lift = item.factors(np.zeros(1), 0)[0, 1:], item.vectors.lift
@@ -142,11 +134,10 @@ def _partials(item: LoadInput) -> tuple[Array, Array, Array, Array]:
 class Structure:
     """The parts of a system that do not depend on design values: sizes, patterns, numbering.
 
-    `soft` maps the design to the elements that deform, which have `forms` and stand at `places` of
-    the pattern.
-    `constraint_names` are the joints of the equations, `reach` is the largest coordinate in m of a
-    place on the ground that a load refers to. `masses` holds the masses of rigid bodies and beams
-    at the values of the design that were asked for last.
+    `soft` maps the design to the flexible elements, which have `forms` and the indices `places` in
+    the pattern. `constraint_names` are the joints of the equations, `reach` is the largest
+    coordinate, in m, of a position on the ground that a load refers to. `masses` caches masses of
+    rigid bodies, rigid beams and point masses.
     """
 
     scene: Scene
@@ -173,7 +164,7 @@ class Structure:
     ) -> Structure:
         """Return the structure of a scene with these joints and loads."""
         joints, loads = parts
-        # Elements, rigid bodies, curvature of joints, tangents of loads.
+        # Entries of elements and rigid bodies, curvature of joints, tangents of loads.
         moving = [item.couplings for item in loads if not item.load.constant]
         bodies = numbering.couplings(scene.frame is not None)
         entries = zip(bodies, joints.couplings, *moving, strict=True)
@@ -196,7 +187,7 @@ class Structure:
         )
 
     def reaches(self, owners: Iterable[str]) -> Array:
-        """Tell which design variables write to these owners of parameters, (n_b,)."""
+        """Return which design variables drive parameters of these owners, bool, (n_b,)."""
         reached = np.zeros(len(self.design), dtype=bool)
         for owner in owners:
             reached[[slot[1] for slot in self.mapping.slots.get(owner, ())]] = True
@@ -204,17 +195,17 @@ class Structure:
 
     @cached_property
     def reaches_parts(self) -> Array:
-        """Whether each design variable writes to a joint or load, (n_b,)."""
+        """Whether each design variable drives a joint or load, shape (n_b,)."""
         return self.reaches(part.name for part in (*self.scene.joints, *self.scene.loads))
 
     @cached_property
     def reaches_elements(self) -> Array:
-        """Tell which design variables write to elements that deform, (n_b,)."""
+        """Whether each design variable drives flexible elements, shape (n_b,)."""
         return np.bincount(self.soft.variables, minlength=len(self.design)) > 0
 
     @cached_property
     def reaches_masses(self) -> Array:
-        """Tell which design variables masses, gravity or the frame may depend on, (n_b,)."""
+        """Whether masses, gravity or frame may depend on each design variable, shape (n_b,)."""
         pairs = ~WEIGHTLESS[self.mapping.parameters]
         heavy = np.bincount(self.mapping.variables[pairs], minlength=len(self.design)) > 0
         owners = (*self.scene.members, *self.scene.point_masses)
@@ -224,7 +215,7 @@ class Structure:
 @final
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Placement of the bodies, and inputs of joints and loads, at one value of the design."""
+    """Reference positions of the bodies, and inputs of joints and loads, at one design."""
 
     naming: SceneNaming
     reference: Reference
@@ -236,7 +227,7 @@ class Geometry:
     def of(
         scene: Scene, layout: Layout, numbering: Numbering, mapping: ParameterMap, b: Array
     ) -> Geometry:
-        """Return the geometry at b, and with it the forms of joints and loads."""
+        """Return the geometry at design values b, with the structure of joints and loads."""
         lengths = mapping.values(b)[:, ElementParameter.LENGTH]
         naming = SceneNaming(layout, lengths, mapping.lengths_b(len(b)))
         reference = Reference(scene, mapping, b, naming)
@@ -244,9 +235,9 @@ class Geometry:
         return Geometry(naming, reference, inputs, inputs.joints(), inputs.loads())
 
     def at(self, b: Array) -> Geometry | None:
-        """Return the geometry at other parameter values; None if the structure changes.
+        """Return the geometry at other design values; None if the structure changes.
 
-        So they do where a coefficient appears that had vanished, or a point comes to another
+        It changes if a coefficient that was zero becomes nonzero, or a point comes to another
         element.
         """
         old = self.inputs
@@ -261,7 +252,7 @@ class Geometry:
         return Geometry(naming, reference, inputs, joints, loads)
 
     def reached_by(self, structure: Structure) -> Array:
-        """Tell which design variables change it, (n_b,)."""
+        """Return which design variables change the reference geometry, bool, (n_b,)."""
         reached = structure.reaches_parts.copy()
         reached[self.reference.active] = True
         return reached
@@ -270,7 +261,7 @@ class Geometry:
 @final
 @dataclass(frozen=True, eq=False)
 class Numbers:
-    """All numbers of a scene at design values b, real or complex."""
+    """All numeric data of a scene at design values b, real or complex."""
 
     structure: Structure
     b: Array
@@ -293,7 +284,7 @@ class Numbers:
     ) -> Numbers:
         """Return the numbers of a scene, with the structure that other designs will share.
 
-        The numbering has masses of states; by default they follow from the mechanism.
+        The `numbering` holds masses of states; by default they are computed from the mechanism.
         """
         if numbering is None:
             numbering = number(scene)
@@ -310,7 +301,7 @@ class Numbers:
         geometry = Geometry.of(scene, layout, numbering, mapping, b)
         parts = geometry.joints, geometry.loads
         structure = Structure.of(scene, design, mapping, numbering, layout, parts)
-        # From now on names know the joints, too.
+        # With the layout of the joints, which was not known before.
         geometry = replace(geometry, naming=replace(geometry.naming, layout=structure.layout))
         block = structure.forms.at(b)
         elastic = ElasticForces(block, structure.places, structure.soft, len(b))
@@ -320,9 +311,9 @@ class Numbers:
         )
 
     def at(self, b: Array) -> Numbers | None:
-        """Return the numbers at other values, None where they have another structure."""
+        """Return the numbers at other design values; None if the structure changes."""
         structure, geometry = self.structure, self.geometry
-        # Numbers are of the kind of b, real or complex.
+        # Numbers are real or complex as b is.
         other_kind, moved = np.iscomplexobj(b) != np.iscomplexobj(self.b), b != self.b
 
         def changes(reached: Array) -> bool:
@@ -348,7 +339,7 @@ class Numbers:
 def _placed(
     structure: Structure, geometry: Geometry, b: Array
 ) -> tuple[JointConstraints, LoadForces, AssembledStart]:
-    """Return constraints, loads and start, which depend on the places of parts."""
+    """Return constraints, loads and start, which depend on the reference geometry."""
     pattern, mapping, n_b = structure.pattern, structure.mapping, len(b)
     constraints = JointConstraints.on(pattern, geometry.joints, n_b)
     reached = geometry.reached_by(structure)

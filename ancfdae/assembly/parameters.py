@@ -1,4 +1,4 @@
-"""From design variables to element parameters, and back for derivatives."""
+"""Map from design variables to parameters of elements and other parts, with derivatives."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True)
 class ParameterMap:
-    """Map from design variables to the element parameters that they set.
+    """Map from design variables to the element parameters that they drive.
 
-    One entry per pair (element, parameter) that a variable drives; the element's parameter
+    It has one entry per pair (element, parameter) that a variable drives; the element's parameter
     is `weight` times the variable, plus `offset`.
     """
 
@@ -28,19 +28,19 @@ class ParameterMap:
     elements: Array  # of int, (n_pairs,)
     parameters: Array  # of int, (n_pairs,)
     variables: Array  # of int, (n_pairs,)
-    # (n_pairs,): factor of the target, and what it holds beside the variable's share; for a length
-    # times the share of the element in the length of its beam.
+    # (n_pairs,): factor and constant part of the target; for a length both are multiplied by the
+    # fraction of the element in the length of its beam.
     weights: Array
     offsets: Array  # (n_pairs,)
-    # The `Scene.numbers` of everything that is not an element, by the name of its owner.
+    # The `Scene.numbers` of all owners, by name; parameters of elements are in `base`.
     declared: dict[str, tuple[float, ...]]
-    # By owner, the tuples (place among its numbers, design variable, weight, offset).
+    # By owner, tuples (index among its numbers, design variable, weight, offset).
     slots: dict[str, list[tuple[int, int, float, float]]]
     nominal: Array  # (n_b,): values of the design variables as declared
-    names: tuple[str, ...]  # of the design variables
+    names: tuple[str, ...]  # names of the design variables
 
     def numbers(self, owner: str, b: Array) -> tuple[Array, Array]:
-        """Return the numbers p of an owner at design values b, and p_b."""
+        """Return the numbers p of an owner at b, (n_p,), and their derivatives p_b, (n_p, n_b)."""
         p = np.array(self.declared.get(owner, ()), dtype=complex if b.dtype.kind == "c" else float)
         p_b = np.zeros((len(p), len(b)))
         for place, variable, weight, offset in self.slots.get(owner, ()):
@@ -51,7 +51,7 @@ class ParameterMap:
     def holding(self, owner: str, numbers: Sequence[float], count: int) -> ParameterMap:
         """Return a copy of the map in which `numbers` replace the first `count` numbers of `owner`.
 
-        No design variable drives the numbers that are put in.
+        No design variable drives the new numbers.
         """
         moved, kept = len(numbers) - count, (x for x in self.slots.get(owner, []) if x[0] >= count)
         slots = [(place + moved, index, weight, offset) for place, index, weight, offset in kept]
@@ -60,13 +60,13 @@ class ParameterMap:
         return replace(self, declared=declared, slots=self.slots | {owner: slots})
 
     def values(self, b: Array) -> Array:
-        """Return element parameters at design values b, shape (n, 10), in the dtype of b."""
+        """Return the element parameters at design values b, shape (n, 10), in the dtype of b."""
         P = self.base.astype(np.result_type(self.base, b))
         P[self.elements, self.parameters] = self.weights * b[self.variables] + self.offsets
         return P
 
     def only(self, rows: Array) -> ParameterMap:
-        """Return the map for the elements `rows` only, numbered in that order."""
+        """Return the map for the elements `rows` only, in that order."""
         places = np.full(len(self.base), -1)
         places[rows] = np.arange(len(rows))
         chosen = places[self.elements]
@@ -82,23 +82,26 @@ class ParameterMap:
         )
 
     def lengths_b(self, n_b: int) -> Array:
-        """Return d(element lengths)/db, shape (n, n_b)."""
+        """Return the design derivatives of the element lengths, shape (n, n_b)."""
         partial = np.zeros((len(self.base), n_b))
         chosen = self.pairs(ElementParameter.LENGTH)
         partial[self.elements[chosen], self.variables[chosen]] = self.weights[chosen]
         return partial
 
     def pairs(self, which: ElementParameter) -> Array:
-        """Return the indices of the pairs of one parameter."""
+        """Return the indices of pairs (element, variable) of one element parameter."""
         return np.flatnonzero(self.parameters == which)
 
     def driven(self) -> tuple[ElementParameter, ...]:
-        """Return the parameters that some design variable drives."""
+        """Return the element parameters that a design variable drives."""
         return tuple(map(ElementParameter, sorted(set(self.parameters.tolist()))))
 
 
 def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMap:
-    """Resolve the targets of all design variables; refuse unknown ones, and two for one number."""
+    """Return the map for all targets of the design variables.
+
+    Raises UnknownNameError for unknown targets, InvalidInputError for two targets of one number.
+    """
     base, none = scene.element_parameters(), np.zeros(0, dtype=np.int64)
     pairs = [(none, none, none, np.zeros(0), np.zeros(0))]
     owner: dict[tuple[int, int], str] = {}

@@ -1,4 +1,4 @@
-"""Joints and loads of a scene as numbers: their vectors, design fields and reference."""
+"""Numeric inputs of joints and loads: their vectors, design fields and reference vectors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,9 +26,10 @@ from ancfdae.numerics.arrays import STEP, Array
 @final
 @dataclass(frozen=True)
 class Rigidity(Joint):
-    """Keep the directions of a body orthonormal: (d_i . d_j - delta_ij) / (1 + delta_ij) = 0.
+    """Constraints that keep the directions of a rigid body orthonormal.
 
-    Three equations in the plane and six in space, by the name of ``rigid(body)``.
+    (d_i . d_j - delta_ij) / (1 + delta_ij) = 0: three equations in the plane and six in space,
+    named ``rigid(body)``.
     """
 
     beam: str
@@ -37,7 +38,7 @@ class Rigidity(Joint):
 
     @property
     def by_slopes(self) -> bool:
-        """Return true: directions are slopes, and the numbers of all equations are the same."""
+        """Return true: the equations of all rigid bodies have the same coefficients."""
         return True
 
     def vectors(self, elements: Elements) -> Names:
@@ -45,7 +46,7 @@ class Rigidity(Joint):
         return tuple(FrameDirection(self.beam, k + 1) for k in range(elements.d))
 
     def coefficients(self, p: Array, reference: Array) -> JointEquations:
-        """Entries i <= j of d_i . d_j."""
+        """Return the coefficients of d_i . d_j for i <= j."""
         i, j = np.triu_indices(reference.shape[1])
         rows = np.arange(len(i))
         c = empty_equations(len(i), p, reference)
@@ -67,7 +68,7 @@ class PartInputs:
     b: Array
 
     def joints(self) -> JointStructure:
-        """Return all joints, and what keeps bodies that are rigid."""
+        """Return the structure of all joints, with the constraints of rigid bodies."""
         bodies = zip(self.numbering.bodies, self.numbering.rigid, strict=True)
         rigidities = [Rigidity(body.name) for body, rigid in bodies if rigid]
         held = HeldAngles(self.naming.layout, {item.beam for item in rigidities})
@@ -79,7 +80,7 @@ class PartInputs:
         return JointStructure.of(inputs, vectors)
 
     def joints_like(self, known: JointStructure) -> JointStructure | None:
-        """Return the joints at these values in the forms that are known, None if they differ."""
+        """Return the joints at these values in the structure `known`; None if they do not fit."""
         inputs, vectors = self._together([slot.item.joint for slot in known.slots])
         pairs = zip(inputs, known.slots, strict=True)
         inputs = [replace(item, dropped=slot.item.dropped) for item, slot in pairs]
@@ -97,12 +98,12 @@ class PartInputs:
         return tuple(t for part, p in numbers for t in part.breakpoints(p))
 
     def joint(self, joint: Joint) -> tuple[JointInput, Vectors]:
-        """Return one joint as it stands alone, with its vectors."""
+        """Return the input of one joint alone, with its vectors."""
         (item,), vectors = self._together([joint])
         return item, vectors
 
     def load(self, load: Load) -> LoadInput:
-        """Return the input of one load: its vectors, parameters and reference, with derivatives."""
+        """Return the input of one load: vectors, parameters and reference, with derivatives."""
         points, p, p_b = self._part(load)
         vectors = self._vectors(points)
         reference, reference_b = self._in_reference(vectors)
@@ -129,7 +130,7 @@ class PartInputs:
         return U_o, U_ob
 
     def _together(self, joints: Sequence[Joint]) -> tuple[list[JointInput], Vectors]:
-        """Return joints as they stand alone, and the vectors of all."""
+        """Return the inputs of joints, and their vectors joined in one `Vectors`."""
         parts = [self._part(joint) for joint in joints]
         vectors = self._vectors([vector for points, *_ in parts for vector in points])
         # Partials of all vectors of a large scene in all variables would not fit into memory.
@@ -150,7 +151,7 @@ class PartInputs:
         return Vectors.of_points(points, self.numbering.d, self.numbering.n_q, len(self.b))
 
     def _in_reference(self, vectors: Vectors) -> tuple[Array, dict[int, Array]]:
-        """Return vectors in the reference configuration, and their partials that are not zero."""
+        """Return vectors in the reference, (n_v, d), and their nonzero design partials."""
         q_o, active = self.reference.q, self.reference.active
         reference, along = vectors.of(q_o[None])[0], vectors.of_b(q_o[None])[0]
         if active:
@@ -160,7 +161,7 @@ class PartInputs:
         return reference, {int(i): along[..., i] for i in moving}
 
     def _part(self, part: Part) -> tuple[list[PointVector], Array, Array]:
-        """Return vectors of a joint or load, and values and partials of its design fields."""
+        """Return the vectors of a joint or load, and values and partials of its design fields."""
         p, p_b = self.mapping.numbers(part.name, self.b)
         count = part.design_places[1]
         places, first = {}, count

@@ -1,14 +1,14 @@
-"""Contacts between two time points, at neither of which surfaces touch.
+"""Contacts between two time points at neither of which surfaces touch.
 
 Between time points the motion follows the cubic through positions and velocities at both. The
 velocities of the cubic bound the rate of a depth d, which is negative where surfaces are apart.
-Their sizes are at most the largest of v_n, 3 (q_n+1 - q_n)/h - v_n - v_n+1 and v_n+1 (its Bezier
-points). With the bound L nothing touches between two places of the path a time s apart if
+Their norms are at most the largest of v_n, 3 (q_n+1 - q_n)/h - v_n - v_n+1 and v_n+1 (its Bezier
+points). With the bound L there is no contact between two points of the path a time s apart if
 
     d_1 + d_2 + L s < 0.
 
-Where this does not hold the place between both is looked at (conservative advancement), down to a
-part 2^-_LEVELS of the step.
+Otherwise the midpoint is evaluated (conservative advancement), down to a fraction 2^-_LEVELS of the
+step.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from ancfdae.model.loads.contact import ContactLoad
 from ancfdae.numerics.arrays import Array
 
 _LEVELS: Final = 12
-# Halvings of the times at which a contact begins and ends, and places within it.
+# Bisections for the times at which a contact begins and ends, and number of points within it.
 _HALVINGS, _PLACES = 40, 8
-# Places of a step for loads without a depth.
+# Number of intervals of a step at which loads without a depth are evaluated.
 _BLIND: Final = 16
-# Numbers of vectors that are looked at together.
+# Largest number of vectors that are evaluated at once.
 _ROOM: Final = 2**20
-# Contacts of one packet whose impulses are computed.
+# Largest number of contacts of one packet whose impulses are computed.
 _MOST: Final = 256
 
 
 @final
 @dataclass(frozen=True)
 class Passed:
-    """A contact between two time points: begin and end, s, and the impulse on each group."""
+    """A contact between two time points: begin and end, s, and impulse on each group, (n,)."""
 
     begin: float
     end: float
@@ -45,17 +45,20 @@ class Passed:
 
 
 class Grouped(Protocol):
-    """Coordinates in groups, with the sizes of forces on them."""
+    """Protocol of coordinates in groups (bodies, nodes), with the norms of forces on them."""
 
     def forces(self, Q: Array) -> Array:
-        """Return the sizes of the forces on each group, (k, n_q) to (k, n)."""
+        """Return the norm of the forces on each group, shape (k, n), for Q of shape (k, n_q)."""
 
     def of_coordinates(self, columns: Array) -> Array:
-        """Return the groups to which coordinates, shape (k,), belong."""
+        """Return the groups to which coordinates of these indices, shape (k,), belong."""
 
 
 class _Steps(NamedTuple):
-    """Steps of contacts, one each: time, size, vectors U and their rates at both ends, signals."""
+    """Steps of the run with a contact each: time, size, and states at both ends.
+
+    The states are the vectors U, their rates V and the signals of the load.
+    """
 
     t: Array
     h: Array
@@ -64,7 +67,7 @@ class _Steps(NamedTuple):
     signals: tuple[Array, Array]
 
     def at(self, s: Array, which: Array | slice = slice(None)) -> tuple[Array, Array, Array]:
-        """Return vectors, rates and signals of some steps at the parts s of them."""
+        """Return vectors, rates and signals at the fractions s of the steps `which`."""
         h, (U, U_1), (V, V_1), (x, x_1) = (
             self.h[which][:, None, None],
             *(tuple(y[which] for y in pair) for pair in (self.U, self.V, self.signals)),
@@ -78,7 +81,7 @@ class _Steps(NamedTuple):
 def passed_contacts(
     load: MovingLoad, groups: Grouped, states: tuple[Array, Array, Array], F: Array
 ) -> Iterator[Passed]:
-    """Return the contacts of a load that steps pass over; F are its forces on the groups."""
+    """Yield the contacts of a load that steps pass over; F are its forces on the groups."""
     t, q, v = states
     if len(t) < 2:
         return
@@ -120,9 +123,9 @@ def _in_packet(
 
 
 def _idle(item: LoadInput, groups: Grouped, depth: Array, F: Array) -> tuple[Array, Array, Array]:
-    """Return steps with an end at which surfaces touch without a force, copies, and three parts.
+    """Return steps with contact without force at an end, copies, and three fractions of each.
 
-    So it is in the middle of a ball. The parts are as of `_touching`.
+    There is no force for example at the centre of a ball. The fractions are as in `_touching`.
     """
     row, copy = np.nonzero(depth > 0)
     group = groups.of_coordinates(
@@ -141,9 +144,9 @@ def _idle(item: LoadInput, groups: Grouped, depth: Array, F: Array) -> tuple[Arr
 def _touching(
     item: LoadInput, steps: _Steps, bounds: tuple[Array, Array, Array]
 ) -> tuple[Array, Array]:
-    """Return the steps in which surfaces touch, and for each three parts of it.
+    """Return the steps in which surfaces touch, and for each three fractions of it.
 
-    Surfaces touch at the second part, and are apart at the first and the third one.
+    Surfaces touch at the second fraction, and are apart at the first and the third one.
     """
     rate, first, last = bounds
     n = len(rate)
@@ -176,7 +179,7 @@ def _touching(
 def _impulses(
     item: LoadInput, groups: Grouped, steps: _Steps, which: Array, parts: Array, copy: Array
 ) -> Iterator[Passed]:
-    """Return contacts of some steps with their impulses, which depend on the law of the force."""
+    """Yield the contacts in some steps with their impulses, by the force of the load."""
     begin, end = (_boundary(item, steps, which, parts[:, k], parts[:, 1]) for k in (0, 2))
     lasts, places = (end - begin) * steps.h[which], (np.arange(_PLACES) + 0.5) / _PLACES
     impulses = np.zeros((len(which), len(groups.forces(np.zeros(item.vectors.n_q)))))
@@ -194,7 +197,7 @@ def _impulses(
 
 
 def _boundary(item: LoadInput, steps: _Steps, which: Array, apart: Array, touch: Array) -> Array:
-    """Return the parts of steps, (k,), at which surfaces begin or cease to touch."""
+    """Return the fraction of each step, (k,), at which contact begins or ends, by bisection."""
     for _ in range(_HALVINGS):
         middle = (apart + touch) / 2
         U, _, signals = steps.at(middle, which)
@@ -206,7 +209,7 @@ def _boundary(item: LoadInput, steps: _Steps, which: Array, apart: Array, touch:
 def _blindly(
     load: MovingLoad, groups: Grouped, states: tuple[Array, Array, Array], F: Array
 ) -> Iterator[Passed]:
-    """Return contacts in steps without a force at their ends, seen in some places of each."""
+    """Yield contacts within steps that have no contact force at their ends, found by sampling."""
     t, q, v = states
     h = np.diff(t)[:, None]
     free, impulses = (F[:-1] == 0) & (F[1:] == 0), np.zeros_like(F[1:])

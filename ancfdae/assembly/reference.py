@@ -19,16 +19,13 @@ from ancfdae.numerics.rotations import cayley, generators, rotation
 
 @final
 class Reference:
-    """Reference configuration of all bodies, and the start that is declared on it.
+    """Reference configuration of all bodies, and the declared start, at design values b.
 
-    Each body is placed once, after the one that it starts at.
-
-    Node k of a beam stands at start + R (sum_{e<k} l_e chord_e), and its slopes at R times those of
-    the shape, with R the rotation by the beam's turn. Its start is a place, or a point of another
-    body. What is rigid has one node: its place and R times its directions.
-
-    The values b of the design variables, with the element lengths of the naming at them, are real
-    or complex. Both configurations depend on the `active` ones.
+    Node k of a beam is at start + R (sum_{e<k} l_e chord_e), and its slopes are R times the slopes
+    of the shape, with R the rotation by the beam's `turn`. The start is a position, or a point of
+    another body, which is placed before. A rigid body or beam has one node: its position and R
+    times its directions. The values b of the design variables, with the element lengths of the
+    naming at them, are real or complex. Both configurations depend on the `active` variables.
     """
 
     def __init__(self, scene: Scene, mapping: ParameterMap, b: Array, naming: SceneNaming) -> None:
@@ -37,7 +34,7 @@ class Reference:
         self._firsts = scene.first_elements()
         self._moved: dict[int, Reference] = {}
         self._stateful = [part for part in (*scene.joints, *scene.loads) if part.states]
-        # Their vectors, coordinates and integrals of states, start from zero.
+        # Vectors of added coordinates and integrals of states start from zero.
         shapes = [(len(part.states), scene.dimension) for part in self._stateful]
         self._zero_states = [np.zeros(shape) for shape in shapes]
 
@@ -53,13 +50,13 @@ class Reference:
 
     @cached_property
     def q(self) -> Array:
-        """Coordinates of the reference configuration, shape (n_q,)."""
+        """Coordinates of the reference configuration, shape (n_q,); m, slopes dimensionless."""
         parts = [self._vectors[body.name].ravel() for body in self._scene.members]
         return np.concatenate([*parts, *(x.ravel() for x in self._zero_states)])
 
     @cached_property
     def Z(self) -> Array:
-        """Vectors of the start as declared, before any assembly, shape (n_vectors, d)."""
+        """Position and slope vectors of the declared start, before assembly, (n_vectors, d)."""
         parts = []
         for body in self._scene.members:
             X, start = self._vectors[body.name], self._scene.start_of.get(body.name)
@@ -67,9 +64,9 @@ class Reference:
         return np.concatenate([*parts, *self._zero_states])
 
     def velocities(self, q: Array, motion: Array | None) -> Array:
-        """Return the declared velocities at coordinates that a rigid motion brought there, if any.
+        """Return the declared velocities, (n_q,), at coordinates q, after a rigid motion if given.
 
-        Velocities of nodes turn with their body, by `motion` of shape (n_bodies, n_x).
+        Velocities of nodes rotate with their body, by `motion` of shape (n_bodies, n_x).
         """
         d, first, parts = self._scene.dimension, 0, []
         for k, body in enumerate(self._scene.members):
@@ -86,7 +83,7 @@ class Reference:
         return np.concatenate([*parts, *([self.state_rates] if self._stateful else [])])
 
     def moved(self, i: int) -> Reference:
-        """Return them moved in design variable i by an imaginary step."""
+        """Return the reference with design variable i perturbed by an imaginary step."""
         if i not in self.active:
             return self
         if i not in self._moved:
@@ -98,12 +95,12 @@ class Reference:
 
     @property
     def state_rates(self) -> Array:
-        """Rates of the vectors of states of joints and controllers at the start, (d n_states,)."""
+        """Rates of the vectors of states of joints and controllers at t = 0, (d n_states,)."""
         return self._state_rates(self._b)
 
     @cached_property
     def state_rates_b(self) -> Array:
-        """Design derivatives of `state_rates`, (d n_states, n_b)."""
+        """Design derivatives of `state_rates`, shape (d n_states, n_b)."""
         steps = 1j * STEP * np.eye(len(self._b))
         columns = [self._state_rates(self._b.real + step).imag / STEP for step in steps]
         return np.array(columns).reshape(len(self._b), len(self.state_rates)).T
@@ -116,17 +113,17 @@ class Reference:
         return np.concatenate(parts)
 
     def _of(self, nodes: Array, body: BeamBody | RigidBody) -> Array:
-        """Return the vectors of a body, (count, d), from vectors of nodes or ends of elements."""
+        """Return the vectors of a body, (count, d), from vectors of nodes or of element ends."""
         return self._naming.layout.body(body.name).of_ends(nodes)
 
     def _positions(self, body: BeamBody | RigidBody) -> Array:
-        """Return the indices of positions among the vectors of a body."""
+        """Return the indices of the positions among the vectors of a body."""
         layout = self._naming.layout.body(body.name)
         return layout.positions - layout.first_vector
 
     @cached_property
     def _vectors(self) -> dict[str, Array]:
-        """Vectors of each body in the reference configuration, shape (count, d), by its name."""
+        """Vectors of each body in the reference configuration, shape (count, d), by name."""
         known: dict[str, Array] = {}
         for body in self._scene.by_attachment:
             numbers, _ = self._placed(body)
@@ -141,7 +138,7 @@ class Reference:
         return known
 
     def _unturned(self, body: BeamBody | RigidBody) -> Array:
-        """Return the vectors of a body that stands at the origin."""
+        """Return the vectors of a body at the origin and not rotated, shape (count, d)."""
         if isinstance(body, RigidBody) or body.rigid:
             return np.concatenate([np.zeros((1, body.dimension)), body.directions()])
         shape, first, n_s = body.reference(), self._firsts[body.name], body.element.n_s
@@ -152,7 +149,10 @@ class Reference:
         return self._of(X, body)
 
     def _attached(self, body: BeamBody | RigidBody, known: dict[str, Array]) -> Array:
-        """Return the place of the point where a body starts, of one whose vectors are known."""
+        """Return the position, (d,), of the point that a body is attached to.
+
+        `known` holds the vectors of bodies that are placed already.
+        """
         point = body.attached
         assert point is not None
         vector = self._naming.vector(point, Quantity.POSITION)
@@ -161,7 +161,7 @@ class Reference:
         return vector.weights @ other[vector.vectors - first]
 
     def _placed(self, body: BeamBody | RigidBody) -> tuple[Array, Array]:
-        """Return the numbers of a body, beginning with its placement, and their derivatives."""
+        """Return a body's numbers from its placement on, and their design derivatives."""
         first = body.design_places[1] if isinstance(body, RigidBody) else 0
         numbers, numbers_b = self._mapping.numbers(body.name, self._b)
         return numbers[first:], numbers_b[first:]
@@ -169,7 +169,7 @@ class Reference:
     def _rigid_velocity(
         self, body: BeamBody | RigidBody, start: InitialVelocity, X: Array
     ) -> Array:
-        """Velocity v + omega x (r - about) of positions and omega x slope of slopes."""
+        """Return the velocities v + omega x (r - about) of positions, omega x slope of slopes."""
         d = X.shape[-1]
         numbers = self._placed(body)[0][len(body.placement()) :]
         spin, about, velocity = start.split(numbers)

@@ -1,15 +1,11 @@
-"""Rigid motions of the bodies of a scene, and the words for those that are free.
+"""Rigid motions of all bodies of a scene, and descriptions of free motions in words.
 
-Rigid motions of all bodies of a scene at once, and what they do to coordinates.
-
-A motion of a body is x = (u, g): a displacement u of its middle c, and a turn about it by the Gibbs
-vector g (`numerics/rotations.py`). Positions go to c + u + R(g) (r - c), slopes to R(g) r_k.
-
-Description of the free motions of a mechanism: which beams and bodies move, and how.
+A motion of a body is x = (u, g): a displacement u of its middle c, and a rotation about it by the
+Gibbs vector g (`numerics/rotations.py`). Positions go to c + u + R(g) (r - c), slopes to R(g) r_k.
 
 A motion without stiffness strains no beam, so each beam moves as a rigid body: v of its start and
-omega are fitted to its node vectors. Several motions are combined so that each moves few beams in
-a simple way (row echelon form of these numbers).
+omega are fitted to its node vectors. Several motions are combined so that each moves few beams in a
+simple way (row echelon form of these numbers).
 """
 
 from __future__ import annotations
@@ -29,10 +25,11 @@ from ancfdae.numerics.rotations import cayley, cayley_partials, generators
 
 @final
 class RigidMotions:
-    """Rigid motions of bodies, x of shape (n_bodies, n_x).
+    """Rigid motions of bodies, x of shape (n_bodies, n_x), and their effect on vectors.
 
-    n_x counts d displacements, and one turn in the plane or three in space. `owner` is the body
-    that each vector of the scene belongs to, from 0 on, `positions` whether it is one or a slope.
+    n_x counts d displacements, and one rotation in the plane or three in space. `owner` is the
+    index of the body of each vector of the scene, `positions` whether the vector is a position or a
+    slope.
     """
 
     def __init__(self, owner: Array, positions: Array, d: int) -> None:
@@ -47,7 +44,7 @@ class RigidMotions:
         return np.zeros((self._count, self.n_x))
 
     def place(self, Z: Array, x: Array) -> Array:
-        """Return vectors Z, shape (n_vectors, d), moved by x."""
+        """Return the vectors Z, shape (n_vectors, d), after the rigid motions x."""
         arms, centres = self._split(Z)
         turned = np.einsum("vij,vj->vi", cayley(x[:, self._d :], self._d)[self._owner], arms)
         return turned + self._on_positions(centres + x[:, : self._d])
@@ -64,7 +61,7 @@ class RigidMotions:
         return np.concatenate([shifts, turns], axis=2)
 
     def matrix(self, T: Array) -> scipy.sparse.csr_array:
-        """Return a tangent as a matrix, shape (n_q, n_bodies n_x)."""
+        """Return a tangent of the rigid motions as a sparse matrix, shape (n_q, n_bodies n_x)."""
         n, d, n_x = T.shape
         rows = np.broadcast_to(np.arange(n * d).reshape(n, d, 1), T.shape)
         columns = np.broadcast_to(self._owner[:, None, None] * n_x + np.arange(n_x), T.shape)
@@ -72,18 +69,18 @@ class RigidMotions:
         return scipy.sparse.csr_array((T.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
 
     def array(self, T: Array) -> Array:
-        """Return `matrix` as an array."""
+        """Return a tangent of the rigid motions as a dense array, shape (n_q, n_bodies n_x)."""
         n, d, n_x = T.shape
         matrix = np.zeros((n, d, self._count, n_x), dtype=T.dtype)
         matrix[np.arange(n), :, self._owner] = T
         return matrix.reshape(n * d, -1)
 
     def velocities(self, T: Array, x: Array) -> Array:
-        """Return the product of `matrix` with rates x, (n_bodies, n_x): shape (n_q,)."""
+        """Return the velocities, (n_q,), of rigid motions at rates x, (n_bodies, n_x)."""
         return np.asarray(np.einsum("vix,vx->vi", T, x[self._owner]).ravel())
 
     def reach(self, pattern: SparsityPattern, B: Array, T: Array) -> Array:
-        """Return how far rows of B go with displacements, and with turns, (n_rows, 2)."""
+        """Return the largest change of each row of B by shifts and by rotations, (n_rows, 2)."""
         vector, axis = np.divmod(pattern.columns, self._d)
         pair = pattern.rows.astype(np.int64) * self._count + self._owner[vector]
         order = np.argsort(pair, kind="stable")
@@ -95,7 +92,7 @@ class RigidMotions:
         return reach
 
     def blocks(self, values: Array) -> scipy.sparse.csr_array:
-        """Return matrices of each body, (n_bodies, n_x, n_x), as one matrix of all motions."""
+        """Return matrices of each body, (n_bodies, n_x, n_x), as one sparse block matrix."""
         first = np.arange(self._count)[:, None, None] * self.n_x
         rows, columns = np.indices(values.shape[1:])
         at = [np.broadcast_to(first + x, values.shape).ravel() for x in (rows, columns)]
@@ -103,21 +100,21 @@ class RigidMotions:
         return scipy.sparse.csr_array((values.ravel(), tuple(at)), shape=(size, size))
 
     def array_of_blocks(self, values: Array) -> Array:
-        """Return `blocks` as an array."""
+        """Return matrices of each body, (n_bodies, n_x, n_x), as one dense block diagonal array."""
         count, n_x, _ = values.shape
         matrix = np.zeros((count, n_x, count, n_x), dtype=values.dtype)
         matrix[np.arange(count), :, np.arange(count)] = values
         return matrix.reshape(count * n_x, -1)
 
     def collect(self, T: Array, f: Array) -> Array:
-        """Return T^T f, shape (n_bodies, n_x): forces f, (n_q,), on the rigid motions."""
+        """Return T^T f, (n_bodies, n_x): the forces f, (n_q,), on the rigid motions."""
         work = np.einsum("vix,vi->vx", T, f.reshape(-1, self._d))
         total = np.zeros((self._count, self.n_x), dtype=work.dtype)
         np.add.at(total, self._owner, work)
         return total
 
     def curvature(self, Z: Array, x: Array, f: Array) -> Array:
-        """Return the partial of T^T f in x with f held, (n_bodies, n_x, n_x): turns only."""
+        """Return the partial of T^T f in x at fixed f, (n_bodies, n_x, n_x), due to rotations."""
         result = np.zeros((self._count, self.n_x, self.n_x))
         for k in range(self._d, self.n_x):
             moved = x.astype(complex)
@@ -126,7 +123,7 @@ class RigidMotions:
         return result
 
     def _split(self, Z: Array) -> tuple[Array, Array]:
-        """Return the vectors with positions taken from the middle of their body, and middles."""
+        """Return node vectors with positions relative to the middle of their body, and middles."""
         total = np.zeros((self._count, self._d), dtype=Z.dtype)
         np.add.at(total, self._owner, self._is_position[:, None] * Z)
         centres = total / self._per_body[:, None]
@@ -136,18 +133,18 @@ class RigidMotions:
         return self._is_position[:, None] * of_bodies[self._owner]
 
 
-# Parts of a motion below this are round-off of its null vector.
+# Relative size below which a component of a motion is round-off of its null vector.
 _SMALL = 1e-6
-# A motion that is less rigid than this deforms the beam.
+# Residual of the rigid fit, relative to the motion, above which the beam deforms.
 _RIGID = 1e-3
-# A round bar turns in its bent shape: its nodes move by less than this part of its slopes.
+# Motion of nodes over motion of slopes up to which a bent round bar rotates within its shape.
 _STAYS = 0.05
 # Number of beams whose motion is described.
 _SHOWN = 3
 
 
 def motions_in_words(layout: Layout, q: Array, motions: Array) -> str:
-    """Say which beams and bodies move, and how, in motions without stiffness, shape (n_q, k)."""
+    """Return a text on which bodies move, and how, in motions without stiffness, (n_q, k)."""
     bodies = [_Body.of(beam, layout.d, q) for beam in layout.bodies]
     fits = [body.fit(motions) for body in bodies]
     basis = np.concatenate([fit.rigid for fit in fits])
@@ -167,7 +164,7 @@ def motions_in_words(layout: Layout, q: Array, motions: Array) -> str:
 
 
 def _simplified(basis: Array) -> Array:
-    """Combine columns so that each has a one where the others vanish, in the first rows."""
+    """Return combinations of the columns with ones where the other columns are zero."""
     basis = basis.copy()
     size, row = np.max(np.abs(basis)), 0
     for k in range(basis.shape[1]):
@@ -187,7 +184,7 @@ def _simplified(basis: Array) -> Array:
 @final
 @dataclass(frozen=True)
 class _Fit:
-    """Rigid motions as columns, rows v/L and omega; size of the motions, and of the residual."""
+    """Rigid motions as columns with rows v/L and omega; norms of motions and of the residual."""
 
     rigid: Array
     size: float
@@ -197,9 +194,9 @@ class _Fit:
 @final
 @dataclass(frozen=True)
 class _Body:
-    """A beam or a rigid body in its configuration: vectors X, shape (count, d), and size.
+    """A beam or rigid body in its configuration: vectors X, shape (count, d), and size, m.
 
-    `positions` are the places of positions among them.
+    `positions` are the indices of positions among the vectors.
     """
 
     name: str
@@ -220,9 +217,9 @@ class _Body:
         return self.X[self.positions]
 
     def fit(self, motions: Array) -> _Fit:
-        """Fit rigid motions to the given ones."""
+        """Return the rigid motions of the body fitted to motions of the scene, (n_q, k)."""
         (n, d), count = self.X.shape, motions.shape[1]
-        # Positions count over the length.
+        # Positions are divided by the length.
         unit = np.ones((n, 1))
         unit[self.positions] = self.length
         arms = self.X / unit
@@ -233,19 +230,19 @@ class _Body:
         A = np.concatenate([shifted, turned], axis=2).reshape(self.X.size, -1)
         right = motions[self.columns].reshape(*self.X.shape, count) / unit[..., None]
         right = right.reshape(-1, count)
-        # A turn of a straight cable about itself moves nothing.
+        # A rotation of a straight cable about its axis moves nothing.
         x = np.linalg.lstsq(A, right, rcond=_SMALL)[0]
         return _Fit(x, float(np.max(np.abs(right))), float(np.max(np.abs(right - A @ x))))
 
     def bent_words(self, motions: Array, size: float) -> str:
-        """Say how it deforms without stiffness, in motions whose largest entry has this size."""
+        """Return a text on how the body deforms in motions whose largest entry is `size`."""
         moved = motions[self.columns].reshape(*self.X.shape, -1)[self.positions] / self.length
         if np.max(np.abs(moved)) <= _STAYS * size:
             return f"{self.name} turns about its own axis, bent as it is"
         return f"{self.name} deforms without stiffness"
 
     def words(self, motion: Array) -> str:
-        """Say how it moves; v/L and omega in one array."""
+        """Return a text on how the body moves, from v/L and omega in one array."""
         d = self.r.shape[1]
         v, spin = motion[:d] * self.length, motion[d:]
         turning = float(np.linalg.norm(spin))
@@ -273,7 +270,7 @@ class _Body:
         return f"({', '.join(f'{x:.4g}' for x in rounded)})"
 
     def _near(self, place: Array, centre: Array, axis: Array | None) -> bool:
-        """Whether a place is the centre, or on the axis through it."""
+        """Whether a position is at the centre of rotation, or on the axis through it."""
         arm = place - centre
         if axis is not None:
             arm = arm - (arm @ axis) * axis
@@ -281,7 +278,7 @@ class _Body:
 
 
 def _direction(v: Array) -> str:
-    """Name an axis, or give its components."""
+    """Return the name of an axis, such as ``x``, or else its components as text."""
     unit = v / np.linalg.norm(v)
     for name, component in zip("xyz", unit, strict=False):
         if abs(component) >= 1.0 - _SMALL:

@@ -1,4 +1,4 @@
-"""Reading a solution from its file, with the names of its scene."""
+"""Reading a solution, or a run with events, from its file, with the names of its scene."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -27,9 +27,10 @@ _ELEMENT = "element of a solution file"
 def load_solution(
     path: str | os.PathLike[str], *, elements: Sequence[BeamElement] = ()
 ) -> Solution:
-    """Read a solution written by `Solution.save`; InvalidInputError if the file holds no solution.
+    """Return the solution in a file written by `Solution.save`.
 
-    A file knows its elements by name; give `elements` of your own.
+    A file holds the names of its elements; pass user-defined elements in `elements`.
+    InvalidInputError if the file holds no solution.
     """
     file = require_path("path of a solution", path)
     return Solution(**solution_file.read(file, _naming("load_solution", elements)))
@@ -38,9 +39,10 @@ def load_solution(
 def load_event_solution(
     path: str | os.PathLike[str], *, elements: Sequence[BeamElement] = ()
 ) -> EventSolution:
-    """Read what `EventSolution.save` wrote; InvalidInputError if the file holds no run with events.
+    """Return the run with events in a file written by `EventSolution.save`.
 
-    A file knows its elements by name; give `elements` of your own.
+    A file holds the names of its elements; pass user-defined elements in `elements`.
+    InvalidInputError if the file holds no run with events.
     """
     file, naming = (
         require_path("path of a solution", path),
@@ -52,7 +54,7 @@ def load_event_solution(
 
 
 def _naming(call: str, elements: Sequence[BeamElement]) -> solution_file.Unpack:
-    """Return how names of a scene are made of what a file holds, with elements of a user."""
+    """Return a function that makes the naming of a scene from the data in a file."""
     repair = "For example elements=[MY_ELEMENT]."
     known = require_each(f"{call}, elements", elements, (BeamElement,), repair)
 

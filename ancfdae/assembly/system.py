@@ -1,4 +1,4 @@
-"""The ANCF assembler: the only place where a scene becomes M, Q, Phi and their partials."""
+"""The class `AncfSystem`, a scene as equations of motion, and `assemble`, which makes it."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from ancfdae.equations import (
     SystemProperties,
 )
 from ancfdae.equations.contact_record import ContactRecord
+from ancfdae.equations.plans import Plan
 from ancfdae.equations.system import States
 from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import listed
-from ancfdae.kernels import Plan
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array, only
@@ -40,13 +40,13 @@ if TYPE_CHECKING:
     from ancfdae.statics.equilibrium import RestingStart
 
 
-# States of elements that are looked at together: more do not fit into the cache.
+# Largest number of element states that are checked at once: more do not fit into the cache.
 _STATES = 2000
 
 
 @in_one_thread
 def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfSystem:
-    """Turn a scene into a mechanical system.
+    """Return the mechanical system of a scene.
 
     Design variables are in the order of the last axis of every sensitivity. Raises
     InvalidInputError or UnknownNameError if one does not fit the scene.
@@ -60,17 +60,17 @@ def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfS
 
 @final
 class AncfSystem(PlannedSystem):
-    """A scene at given values b of its design variables, real or complex; made by `assemble`.
+    """Equations of motion of a scene at values b of its design variables; made by `assemble`.
 
-    What depends on b are its numbers, in the dtype of b; all else is its structure. `naming` has
-    the places of beams and joints in q and lam, and the lengths of elements; `inputs` are what
-    joints and loads are made of, and vectors of points in the reference.
+    b may be complex; all numeric data are in its dtype. `naming` has the indices of bodies and
+    joints in q and lam, and the lengths of elements; `inputs` are the numeric data of joints and
+    loads, and vectors of points in the reference.
     """
 
     naming: SceneNaming
 
     def __init__(self, numbers: Numbers, at_rest: Numbers | None = None) -> None:
-        """Set up the system; `at_rest` are numbers of its equilibrium at other design values."""
+        """Set up the system; `at_rest` are data of its equilibrium at other design values."""
         structure, geometry = numbers.structure, numbers.geometry
         self._at_rest = at_rest
         self._numbers, self._structure, self.b = numbers, structure, numbers.b
@@ -137,7 +137,7 @@ class AncfSystem(PlannedSystem):
         )
 
     def breakpoints(self, t_end: float) -> tuple[float, ...]:
-        """Return the ends of the pieces of laws, and stops around pulses of unmarked laws; s."""
+        """Return the ends of the pieces of laws, and times around pulses of unmarked laws; s."""
         t = np.linspace(0.0, t_end, SAMPLES + 1)
         return (*self.traits.breakpoints, *find_pulses(t, self.over_time(t, True)).stops)
 
@@ -165,19 +165,19 @@ class AncfSystem(PlannedSystem):
         return False
 
     def over_time(self, t: Array, unmarked: bool = False) -> Array:
-        """Return the values of all, or of the `unmarked`, laws of time at t, shape (k, n_laws)."""
+        """Return the laws of time at t, shape (k, n_laws): all laws, or the `unmarked` ones."""
         parts = (*self._scene.joints, *self._scene.loads)
         values = ((part, self._mapping.numbers(part.name, self.b)[0]) for part in parts)
         rows = [row for part, p in values for row in part.over_time(p.real, t, unmarked)]
         return np.stack(rows, axis=1) if rows else np.zeros((len(t), 0))
 
     def sharp_loads(self) -> list[LoadInput]:
-        """Return the loads of a user's own, which may change suddenly with positions."""
+        """Return the loads whose force may change abruptly with positions or velocities."""
         return self._loads.sharp()
 
     @property
     def plan(self) -> Plan | None:
-        """Arrays of the scene for kernels; None in a rotating frame, whose functions they call."""
+        """Arrays of the scene for time stepping in kernels; None in a rotating frame."""
         if self._turning is not None:
             return None
         steady, rows = self._loads.timed()
@@ -202,7 +202,10 @@ class AncfSystem(PlannedSystem):
 
     @in_one_thread
     def with_values(self, b: Array) -> AncfSystem:
-        """Return the same scene at other design values, real or complex; refuse unfit ones."""
+        """Return the same scene at other design values b, (n_b,), real or complex.
+
+        Raises InvalidInputError for values that a part cannot take.
+        """
         b = np.asarray(b)
         if b.shape != (self.n_b,):
             names = ", ".join(self.design_names[:5]) + (", ..." if self.n_b > 5 else "")
@@ -215,12 +218,12 @@ class AncfSystem(PlannedSystem):
         return AncfSystem(numbers, None if scene.rest is None else self._rest_numbers)
 
     def value_limits(self) -> tuple[Array, Array]:
-        """Return values between which parts take each variable, shape (n_b,); else infinite."""
+        """Return lower and upper limits of admissible values of each variable, (n_b,) each."""
         return value_limits(self._scene, self._structure.design, self.b.real)
 
     @cached_property
     def _rest(self) -> RestingStart | None:
-        """The equilibrium that the motion starts from: of the same scene under other loads."""
+        """The static equilibrium that the motion starts from; None without `EquilibriumStart`."""
         if self._scene.rest is None:
             return None
         from ancfdae.statics.equilibrium import RestingStart
@@ -229,7 +232,7 @@ class AncfSystem(PlannedSystem):
 
     @cached_property
     def _rest_numbers(self) -> Numbers:
-        """Numbers of the scene at rest, on the structure that is there if there is one."""
+        """Numeric data of the scene in its initial equilibrium, reusing a structure if possible."""
         known = None if self._at_rest is None else self._at_rest.at(self.b)
         if known is not None:
             return known
@@ -263,15 +266,15 @@ class AncfSystem(PlannedSystem):
         return self._start.pull_back(on_q, on_v)
 
     def mass(self, q: Array) -> Array:
-        """Values of the mass matrix M on `pattern`, shape (nnz,) (eq. 10)."""
+        """Return the values of the mass matrix M on `pattern`, shape (nnz,) (eq. 10)."""
         return self._inertia.values
 
     def mass_times(self, q: Array, x: Array) -> Array:
-        """M x for a vector, shape (n_q,), or columns, shape (n_q, k)."""
+        """Return M x for a vector, shape (n_q,), or columns, shape (n_q, k)."""
         return self._inertia.times(x)
 
     def force(self, t: float, q: Array, v: Array) -> Array:
-        """Force Q, shape (n_q,): gravity, elastic and damping forces, loads (eqs. 11-13); N."""
+        """Return Q, shape (n_q,): gravity, elastic and damping forces, loads (eqs. 11-13); N."""
         Q = self._inertia.gravity - self._elastic.internal(q, v)
         if self._turning is not None:
             Q = Q - self._turning.force(q, v)
@@ -280,7 +283,7 @@ class AncfSystem(PlannedSystem):
         return Q
 
     def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
-        """Q_q dq + Q_v dv + Q_t dt, shape (n_q,)."""
+        """Return the derivative Q_q dq + Q_v dv + Q_t dt of the force, shape (n_q,)."""
         dt, *rates = direction
         dQ = self._elastic.force_along((q, v), (rates[0], rates[1]))
         if self._turning is not None:
@@ -291,7 +294,7 @@ class AncfSystem(PlannedSystem):
         return dQ
 
     def force_and_total(self, t: float, q_rows: Array, v_rows: Array) -> Array:
-        """Q and its total design derivatives as rows, shape (1 + n_b, n_q)."""
+        """Return Q and its total design derivatives as rows, shape (1 + n_b, n_q)."""
         rows = self._inertia.gravity_rows - self._elastic.totals(q_rows, v_rows)
         if self._turning is not None:
             rows = rows - self._turning.rows(q_rows, v_rows)
@@ -302,37 +305,37 @@ class AncfSystem(PlannedSystem):
         return rows
 
     def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
-        """Follower and centrifugal forces, shape (n_q,), and values of their derivatives in q."""
+        """Return follower and centrifugal forces, (n_q,), and values of their derivatives in q."""
         P, P_q = self._loads.following(q, np.array([t]))
         if self._turning is None:
             return P, P_q
         return P - self._turning.force(q, np.zeros_like(q)), P_q - self._turning.tangents[0]
 
     def stress_force(self, q: Array) -> Array:
-        """Elastic forces."""
+        """Return the elastic forces at zero velocity, shape (n_q,); N."""
         return -self._elastic.internal(q, np.zeros_like(q))
 
     def centred(self, q: Array) -> Array:
-        """Positions relative to their mean by weight; directions and slopes as they are."""
+        """Return q with positions relative to their weighted mean; slopes are unchanged."""
         d, positions = self._numbering.d, self._numbering.positions
         Z, w = q.reshape(-1, d).copy(), self.weights.reshape(-1, d)[positions, 0]
         Z[positions] -= w @ Z[positions] / w.sum()
         return Z.ravel()
 
     def folded(self, q: Array) -> str:
-        """Elements that are turned inside out, bent back on themselves, or crushed."""
+        """Return a text naming elements turned inside out, bent back or crushed; else empty."""
         return self._folds.words(q)
 
     def coarse(self, q: Array) -> dict[str, float]:
-        """Beams whose elements are too few, with the share of the energy that is the mesh's."""
+        """Return, by name, beams with too few elements and their error of the stiffness."""
         return self._folds.coarse(q)
 
     def strained(self, q: Array) -> dict[str, float]:
-        """Beams strained beyond what their elements are made for, with the strain of a fibre."""
+        """Return, by name, beams strained beyond the validity of their laws, with the strain."""
         return self._folds.strained(q)
 
     def contacts(self) -> ContactRecord | None:
-        """Record of the contacts of one run, by all loads that touch; None without any."""
+        """Return a record for the contacts of one run; None without contact loads."""
         loads = self._loads.touching()
         if not loads:
             return None
@@ -340,30 +343,33 @@ class AncfSystem(PlannedSystem):
         return RunContacts(loads, self.naming, self._scene.elements, groups)
 
     def constraint(self, t: float, *motion: Array) -> Array:
-        """Constraints Phi or a time derivative, shape (n_lam,), by the number of rates given."""
+        """Return Phi, (n_lam,), or its time derivative of the order of the rates in `motion`."""
         return self._constraints.constraint(t, *motion)
 
     def constraint_q(self, t: float, *motion: Array) -> Array:
-        """Values of Phi_q, or of its time derivative, on `constraint_pattern`."""
+        """Return the values of Phi_q, or of its time derivative, on `constraint_pattern`."""
         return self._constraints.constraint_q(t, *motion)
 
     def constraints_q(self, t: Array, *motion: Array) -> Array:
-        """Return the values of Phi_q or its time derivative at k time points, shape (k, nnz)."""
+        """Return the values of Phi_q, or of its time derivative, at times t, shape (k, nnz)."""
         return self._constraints.constraints_q(t, *motion)
 
     def constraint_total(
         self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None
     ) -> Array:
-        """Total design derivative of Phi or of its time derivatives, shape (n_lam, n_b)."""
+        """Return the total design derivative of Phi or of its time derivative, (n_lam, n_b)."""
         return self._constraints.total(t, motion, motion_b)
 
     @cached_property
     def _sides(self) -> Array:
-        """Signs of the derivatives of Phi in prescribed angles at the start, (n_lam,)."""
+        """Signs of the derivatives of Phi in prescribed angles at the start, shape (n_lam,)."""
         return np.sign(self._constraints.by_turn(self.start()[0].real[None], np.zeros(1))[0])
 
     def off_root(self, t: Array, q: Array) -> tuple[int, str] | None:
-        """Compare the signs of derivatives in prescribed angles with their signs at the start."""
+        """Return the first state with a driven joint half a turn off its angle, and its name.
+
+        There the derivative of its equation in the angle has not the sign that it has at the start.
+        """
         if not self._constraints.turns or np.iscomplexobj(q) or np.iscomplexobj(self.b):
             return None
         off = self._constraints.by_turn(q, t) * self._sides < 0
@@ -374,7 +380,10 @@ class AncfSystem(PlannedSystem):
         return first, self.constraint_names[int(np.argmax(off[first]))]
 
     def mirrored(self, q: Array) -> tuple[int, str] | None:
-        """Compare sides of sections, tangents and stretches with the first state."""
+        """Return the first state with a mirrored, folded or crushed element, and a message.
+
+        Sections, tangents and stretches are compared with the first state.
+        """
         numbering, found = self._numbering, None
         tables: list[tuple[Array, Array | None]] = [(numbering.frames, None)]
         count = _STATES // len(q) or 1
@@ -386,13 +395,16 @@ class AncfSystem(PlannedSystem):
                 some = slice(k, k + count)
                 law = None if parameters is None else parameters[some]
                 each = first_mirrored(numbering, table[some], law, q.real)
-                # The first state of all, cut back for the ones to come.
+                # The first state of all so far; later states need not be checked.
                 if each is not None:
                     found, q = each, q[: each[0]]
         return found
 
     def off_route(self, t: Array, q: Array, v: Array) -> tuple[int, str] | None:
-        """Ask joints and loads that are `routed`, and return what happens first."""
+        """Return the first state with a guide off its beam or a rope off a pulley, with a message.
+
+        Return None if all states are on their routes.
+        """
         geometry, found = self._numbers.geometry, list[tuple[int, str]]()
         U, V = (geometry.joints.vectors.of(x.real) for x in (q, v))
         for slot in geometry.joints.slots:
@@ -414,7 +426,7 @@ class AncfSystem(PlannedSystem):
     # -- the residual f = M a + Phi_q^T lam - Q ----------------------------------------------------
 
     def linearise(self, t: Array, q: Array, v: Array | None, a: Array, lam: Array) -> Linearisation:
-        """M, f_q (eq. 19), f_v and Phi_q."""
+        """Return M, f_q (eq. 19), f_v and Phi_q at times t as a `Linearisation`."""
         f_v, f_q = None, np.zeros((len(q), self.pattern.size))
         if v is not None:
             f_q, f_v = self._tangents(q, v, t)
@@ -426,7 +438,7 @@ class AncfSystem(PlannedSystem):
     def design_partials(
         self, t: Array, q: Array, v: Array | None, a: Array, lam: Array
     ) -> DesignPartials:
-        """Design partials of f (eqs. 24, 25) and Phi."""
+        """Return the design partials of f (eqs. 24, 25) and Phi at times t."""
         f_b = self._inertia.times_b(a)
         if v is not None:
             Q_b = self._elastic.force_b(q, v) + self._inertia.gravity_b
@@ -445,7 +457,10 @@ class AncfSystem(PlannedSystem):
         states: tuple[Array, Array | None, Array, Array],
         covectors: tuple[Array, Array],
     ) -> Array:
-        """Contraction over pairs and active variables, without arrays of the size n_q n_b."""
+        """Return the sum over times of f_b^T mu + Phi_b^T zeta, shape (n_b,).
+
+        It is contracted pair by pair, without arrays of the size n_q n_b.
+        """
         (q, v, a, lam), (mu, zeta) = states, covectors
         total = self._inertia.pull_back(a, mu, gravity=v is not None)
         if v is not None:
@@ -462,7 +477,7 @@ class AncfSystem(PlannedSystem):
         states_b: States,
         direction_b: tuple[Array, Array],
     ) -> Array:
-        """Total design derivative of the derivative of f along a direction; M is constant."""
+        """Return the total design derivative of the rate of f along a direction, (n_q, n_b)."""
         (q, v, _, lam), (q_b, v_b, _, lam_b) = states, states_b
         dt, *rates = direction
         moved_by = q_b, v_b, *direction_b
@@ -480,7 +495,7 @@ class AncfSystem(PlannedSystem):
     def along_pull_back(
         self, t: float, states: States, direction: StateDirection, mu: Array
     ) -> tuple[Array, Array, Array]:
-        """Transposes of tangents along the direction; pair by pair for the design."""
+        """Return the products of mu with the derivatives of f along a direction in q, v and b."""
         q, v, _, lam = states
         dt, *rates = direction
         moving, time, joints = (rates[0], rates[1]), np.array([t]), (q, rates[0], lam)
@@ -501,7 +516,7 @@ class AncfSystem(PlannedSystem):
         return dot(f_q, mu), on_v, on_b
 
     def _tangents(self, q: Array, v: Array, t: Array) -> tuple[Array, Array | None]:
-        """Return values of -Q_q and -Q_v on the pattern; None for Q_v if Q ignores velocities."""
+        """Return the values of -Q_q and -Q_v on the pattern; None if Q ignores velocities."""
         K, D = self._elastic.internal_q(q, v), None
         if self._elastic.damped:
             D = self._elastic.internal_v(q)

@@ -1,4 +1,4 @@
-"""Values between which the parts of a scene can take each design variable: E > 0, say."""
+"""Limits of the values that a scene admits for each design variable, such as E > 0."""
 
 import numpy as np
 
@@ -7,10 +7,10 @@ from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 
-# Values beyond zero, over the size of a variable. Where its rule is a sign all are rejected; a
-# value that does not fit for another reason, such as two points at one place, is alone.
+# Trial values on one side of zero, over the size of a variable. If a sign is required, every value
+# is rejected; values rejected for another reason, such as two coinciding points, are isolated.
 _BEYOND = (1e-6, 0.37, 1.0, 2.9)
-# Limits of Poisson's ratio, beside which a material has no positive moduli.
+# Limits of Poisson's ratio, outside which a material has no positive moduli.
 _POISSON = (-1.0, 0.5)
 
 

@@ -1,8 +1,8 @@
-"""The protocol of mechanical systems, and the solution that a run of one returns.
+"""The base class of mechanical systems, and the solution that a run of one returns.
 
-`system` states the contract: eleven values, and all that follows from them. `formula_system`
-takes derivatives of a system that a user writes by M, Q and Phi; `conformance` and `proof` compare
-every override of a system with what it overrides. It knows no beam and no joint.
+`system` states the contract: eleven values, and all quantities derived from them. `formula_system`
+derives everything from a user's formulas for M, Q and Phi; `conformance` and `proof` compare every
+override of a system with the default that it replaces. This package knows no beams and no joints.
 """
 
 from ancfdae.equations.formula_system import FormulaSystem

@@ -1,4 +1,4 @@
-"""Derivatives of a system's values by complex steps, for methods that a system does not write."""
+"""Derivatives of a system's values by complex steps, the default of methods not overridden."""
 
 import abc
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import SparsityPattern
 
-#: What is wrong with a `with_values` that does not hand its argument on.
+#: Rule, value and remedy of the error for a `with_values` that ignores its argument.
 FORGOTTEN = (
     "must return the system at the values b that it is given",
     "one at others",
@@ -39,7 +39,7 @@ class ComplexSteps(abc.ABC):
         """Return the same system at other values of the design variables, real or complex."""
 
     def _at_step(self, i: int) -> Self:
-        """Return the system with design variable i moved by a small imaginary step."""
+        """Return the system with design variable i perturbed by a small imaginary step."""
         if i not in self._at_steps:
             self._at_steps[i] = at_values(self, self.b + 1j * STEP * np.eye(self.n_b)[i])
         return self._at_steps[i]
@@ -49,9 +49,9 @@ class ComplexSteps(abc.ABC):
         return {}
 
     def _total(self, value: Callable[..., Array], *states: tuple[Array, Array]) -> Array:
-        """Differentiate with respect to the design variables along given derivatives of states.
+        """Return the total design derivative of a value, along given derivatives of states.
 
-        `value(system, *states)` is exact in complex numbers; every state, shape (n,), comes with
+        `value(system, *states)` must accept complex numbers; every state, shape (n,), comes with
         its derivative, (n, n_b). The value has shape (m,), the result (m, n_b).
         """
         columns = [
@@ -69,10 +69,10 @@ class ComplexSteps(abc.ABC):
         pattern: SparsityPattern,
         *beside: Array | None,
     ) -> Array:
-        """Return d value/dx by complex steps, on a pattern.
+        """Return the derivative of a value in x by complex steps, on a pattern, shape (nnz,).
 
-        The imaginary part that x, b or `beside`, the other arguments of the value, have already
-        is subtracted.
+        The imaginary part of the value at x, for complex x, b or other arguments `beside`, is
+        subtracted.
         """
         rows = np.array([np.imag(value(y)) for y in x + 1j * STEP * np.eye(self.n_q)])
         if any(y is not None and y.dtype.kind == "c" for y in (self.b, x, *beside)):
@@ -81,7 +81,7 @@ class ComplexSteps(abc.ABC):
 
 
 def at_values(system: _System, b: Array) -> _System:
-    """Return `with_values` of a system; raise InvalidInputError if it forgets them."""
+    """Return `system.with_values(b)`; raise InvalidInputError if the result has another b."""
     other = system.with_values(b)
     if not np.array_equal(other.b, b):
         raise InvalidInputError(f"{type(system).__name__}.with_values", *FORGOTTEN)

@@ -1,4 +1,4 @@
-"""Check of an implementation of the protocol: every member against the values."""
+"""Check of a mechanical system: every member against the values that determine it."""
 
 from dataclasses import dataclass
 from typing import Any, final
@@ -20,14 +20,15 @@ from ancfdae.errors.checks import require_count, require_index, require_kind
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import listed, page
 
-# Design values that vanish are varied by parts of one, the largest of which is half of this.
+# Value given to design variables that are zero and must not be negative; steps are at most half of
+# it.
 _AWAY = 0.1
 
 
 @final
 @dataclass(frozen=True)
 class Finding:
-    """The largest relative error met of a member, and what round-off and differences explain."""
+    """Largest relative error of one method or property of a system, and its tolerance."""
 
     name: str
     error: float
@@ -46,14 +47,14 @@ class Finding:
 @final
 @dataclass(frozen=True)
 class SystemCheck:
-    """Findings of `check_system` on a system of the class `name`; print it."""
+    """Findings of `check_system` on a system of the class `name`; ``print`` it for a table."""
 
     name: str
     findings: tuple[Finding, ...]
 
     @property
     def passed(self) -> bool:
-        """Whether every finding is explained by round-off."""
+        """Whether the errors of all findings are within their tolerances."""
         return not self.wrong
 
     @property
@@ -62,7 +63,7 @@ class SystemCheck:
         return tuple(finding for finding in self.findings if not finding.passed)
 
     def raise_if_wrong(self) -> None:
-        """Raise InvalidInputError, naming what is wrong, unless all passed."""
+        """Raise InvalidInputError that names the system's methods with errors above tolerance."""
         if self.wrong:
             names = "; ".join(f"{x.name} (error {x.error:.1e})" for x in self.wrong)
             raise InvalidInputError(
@@ -73,7 +74,7 @@ class SystemCheck:
             )
 
     def to_dataframe(self) -> Any:
-        """Return a table of pandas with a row for each finding: name, error, tolerance, passed."""
+        """Return a pandas table with a row for each finding: name, error, tolerance, passed."""
         rows = [(x.name, x.error, x.tolerance, x.passed) for x in self.findings]
         return pandas().DataFrame(rows, columns=["finding", "error", "tolerance", "passed"])
 
@@ -109,12 +110,12 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
     samples : int
         Number of random states; the largest error of all is reported.
     seed : int
-        Of the random states.
+        Seed of the random states.
 
     Returns
     -------
-    Conformance
-        ``print`` it, ask whether it ``passed``, or call ``raise_if_wrong()``.
+    SystemCheck
+        ``print`` it, read whether it ``passed``, or call ``raise_if_wrong()``.
 
     Raises
     ------
@@ -140,14 +141,14 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
             probe = Probe(system, rng)
             for check in (shapes, refusals, start, other_values, declarations, prove):
                 check(add, probe)
-                # What has the wrong shape or cannot be derived makes nonsense of what follows.
+                # With wrong shapes or missing derivatives later checks would be meaningless.
                 if check in (shapes, refusals) and not all(x.passed for x in findings.values()):
                     return SystemCheck(type(system).__name__, tuple(findings.values()))
     return SystemCheck(type(system).__name__, tuple(findings.values()))
 
 
 def _inside(system: MechanicalSystem) -> MechanicalSystem:
-    """Move design values away from zero where they must not become negative."""
+    """Return the system at design values away from zero where these must not become negative."""
     b = system.b.copy()
     for i in np.flatnonzero(b == 0):
         less = system.b.copy()

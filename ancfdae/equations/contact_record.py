@@ -1,4 +1,4 @@
-"""Record of the contacts of a run: a contract that systems with loads of contact fulfil."""
+"""Record of the contacts of a run: base class for systems with contact loads."""
 
 import abc
 from typing import NamedTuple, final
@@ -8,27 +8,27 @@ from ancfdae.numerics.arrays import Array
 
 @final
 class MissedContact(NamedTuple):
-    """The time, s, from which on a run is not to be trusted, with advice."""
+    """The time, s, from which on a run is unreliable because of a missed contact, with advice."""
 
     time: float
     advice: str
 
 
 class ContactRecord(abc.ABC):
-    """Follows the states of one run, packet by packet, and judges its contacts at the end."""
+    """Base class of objects that follow the states of one run and check its contacts."""
 
     @abc.abstractmethod
     def follow(self, t: Array, q: Array, v: Array) -> None:
-        """Look at the next time points, (k,), with rows of q and v, (k, n_q).
+        """Examine the next time points, (k,), with rows of q and v, (k, n_q).
 
-        Time points before the last one that was looked at are left out, so that packets may
-        overlap or come again. The last one may have other velocities, after an impact.
+        Time points before the last one examined are skipped, so that packets may overlap or be
+        repeated. The last one may have other velocities, after an impact.
         """
 
     @abc.abstractmethod
     def passes(self, t: Array, q: Array, v: Array) -> bool:
-        """Whether surfaces touch between two time points, (2,), at neither of which they do."""
+        """Return whether surfaces touch between two time points, (2,), but at neither of them."""
 
     @abc.abstractmethod
     def missed(self) -> MissedContact | None:
-        """Return the first contact that the steps do not resolve, None if they resolve all."""
+        """Return the first contact that the steps do not resolve; None if all are resolved."""

@@ -1,21 +1,19 @@
-"""Systems that follow from another: its values alone, or full matrices of its sizes.
+"""Systems derived from another for `check_system`: by differences, and with full matrices.
 
-A system in which everything depends on everything, of the sizes of another.
-
-Its members are what those of the other would be at a guess: an entry that is far smaller is a
-difference of larger terms, or round-off in place of zero. With the sum s of all arguments over
-their sizes, zero at the state,
+`Generic` is a system of the sizes of another in which everything depends on everything. Its members
+have the magnitudes expected of the other's: an entry that is far smaller is a difference of larger
+terms, or round-off in place of zero. With the sum s of all arguments over their sizes, zero at the
+state,
 
     M = diag(w) e^s,     Q = F e^s,     Phi = C e^s,
 
-and every derivative is one of s times the value.
+and every derivative is a derivative of s times the value.
 
-Derivatives that the base class takes from the values of a system, by real differences.
-
-A system is its values: M, Q, Phi and the start, the derivatives of M and Q along a direction, and
-those of Phi in time and in q. Every other member is a formula of `MechanicalSystem` in them with
-one derivative. `Derived` runs these formulas even where the system overrides them, and takes the
-derivative from real values; `Related` derives the values from M, Q and Phi.
+A system is given by its values: M, Q, Phi and the start, the derivatives of M and Q along a
+direction, and the derivatives of Phi in time and in q. Every other member is a formula of
+`MechanicalSystem` in them with one derivative. `Derived` evaluates these formulas even if the
+system overrides them, and takes the derivative by real differences; `Related` derives the values
+from M, Q and Phi.
 """
 
 from __future__ import annotations
@@ -36,7 +34,7 @@ from ancfdae.numerics.patterns import SparsityPattern
 
 
 class Sizes(NamedTuple):
-    """Sizes of the arguments of a system, and of its forces and constraints."""
+    """Magnitudes of the arguments of a system, of its forces and of its constraints."""
 
     q: Array
     v: Array
@@ -48,7 +46,7 @@ class Sizes(NamedTuple):
 
 @final
 class Generic(MechanicalSystem):
-    """A system of the sizes and patterns of another, at one state of it."""
+    """A system with the sizes and patterns of another, whose values depend on all arguments."""
 
     def __init__(self, system: MechanicalSystem, m: Motion, sizes: Sizes, b: Array) -> None:
         self._of, self._m, self._sizes, self.b = system, m, sizes, b
@@ -56,7 +54,7 @@ class Generic(MechanicalSystem):
         self.pattern, self.constraint_pattern = system.pattern, system.constraint_pattern
         self.weights, given = system.weights, system.traits
         self.traits = SystemProperties(given.constant_mass, velocity_forces=given.velocity_forces)
-        # Partials of s.
+        # Partial derivatives of s in q, v and t.
         q, v, b_sizes = (np.cos(np.arange(len(x))) / x for x in (sizes.q, sizes.v, sizes.b))
         self._q, self._v, self._t = q, v, 1 / sizes.time
         self._grown = np.exp(b_sizes @ (b - system.b))
@@ -66,37 +64,37 @@ class Generic(MechanicalSystem):
         return Generic(self._of, self._m, self._sizes, b)
 
     def start(self) -> tuple[Array, Array]:
-        """Return start values of q and v that have the sizes of the system's own."""
+        """Return q and v at t = 0 with the magnitudes of the other system's, (n_q,) each."""
         return self._sizes.q * self._grown, self._sizes.v * self._grown
 
     def mass(self, q: Array) -> Array:
-        """M = diag(w) e^s, values on the pattern."""
+        """Return the values of M = diag(w) e^s on the pattern, shape (nnz,)."""
         values = np.zeros(self.pattern.size)
         values[self.pattern.diagonal] = self.weights
         return values * (self._grown if self.traits.constant_mass else self._grown_at(q))
 
     def mass_along(self, q: Array, dq: Array) -> Array:
-        """M_q dq = M s_q dq, values on the pattern."""
+        """Return values of M_q dq = M s_q dq for M = diag(w) e^s on the pattern, shape (nnz,)."""
         return self.mass(q) * (self._q @ dq)
 
     def force(self, t: float, q: Array, v: Array) -> Array:
-        """Q = F e^s, shape (n_q,)."""
+        """Return the force Q = F e^s, shape (n_q,)."""
         along_v = self._v @ (v - self._m.v) if self.traits.velocity_forces else 0.0
         return self._sizes.force * self._grown_at(q, t) * np.exp(along_v)
 
     def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
-        """Q ds, the derivative of Q along (dt, dq, dv), shape (n_q,)."""
+        """Return F e^s ds, the derivative of Q = F e^s along (dt, dq, dv), shape (n_q,)."""
         dt, dq, dv = direction
         along_v = self._v @ dv if self.traits.velocity_forces else 0.0
         return self.force(t, q, v) * (self._q @ dq + along_v + self._t * dt)
 
     def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
-        """Return Q as a load that turns with the motion, and Q_q on the pattern."""
+        """Return Q = F e^s as a follower load, shape (n_q,), and values of Q_q on the pattern."""
         Q = self.force(t, q, self._m.v)
         return Q, self._product(self.pattern, Q)
 
     def constraint(self, t: float, *motion: Array) -> Array:
-        """Phi = C e^s, and its time derivatives by the chain rule."""
+        """Return Phi = C e^s, or its time derivatives by the chain rule, shape (n_lam,)."""
         q, *rates = motion
         v, a, j = (self._q @ x for x in (*rates, *3 * [0.0 * q])[:3])
         v = v + self._t
@@ -104,7 +102,7 @@ class Generic(MechanicalSystem):
         return self._sizes.constraint * self._grown_at(q, t) * growth
 
     def constraint_q(self, t: float, *motion: Array) -> Array:
-        """Phi_q = Phi s_q, and so of the rates."""
+        """Return the values of Phi_q = Phi s_q, or of its time derivative, shape (nnz,)."""
         return self._product(self.constraint_pattern, self.constraint(t, *motion))
 
     def _grown_at(self, q: Array, t: float | None = None) -> Array:
@@ -115,9 +113,8 @@ class Generic(MechanicalSystem):
         return np.asarray(values[pattern.rows] * self._q[pattern.columns])
 
 
-# Methods that forces, masses and constraints do not determine: where a system stands, which states
-# no body can have, which part of a force is stress, which root of a constraint is meant, and which
-# functions of time there are.
+# Methods that forces, masses and constraints do not determine: positions, states that no body can
+# have, the elastic part of a force, the root of a constraint that is meant, functions of time.
 _UNDETERMINED = frozenset(
     {
         "breakpoints",
@@ -138,27 +135,27 @@ _UNDETERMINED = frozenset(
 
 
 def members() -> dict[str, FunctionType]:
-    """Return the methods of `MechanicalSystem` that follow from the values of a system."""
+    """Return the methods of `MechanicalSystem` that the basic values of a system determine."""
     methods = vars(MechanicalSystem).items()
     named = {name: f for name, f in methods if isfunction(f) and not name.startswith("_")}
     return {name: f for name, f in named.items() if name not in _UNDETERMINED}
 
 
 def is_written(name: str) -> bool:
-    """Whether every system writes a member."""
+    """Whether every system must implement a method or property of `MechanicalSystem` itself."""
     abstract: frozenset[str] = MechanicalSystem.__abstractmethods__
     return name in abstract
 
 
 def is_value(name: str) -> bool:
-    """Whether a member is no formula in others."""
+    """Whether a method gives a value of the system, not a formula in other methods' values."""
     return is_written(name) or name in vars(Related)
 
 
 class Derived:
-    """Values of a system and everything derived from them; it has the attributes of the system.
+    """A system with the formulas of the base class in place of overrides, by real differences.
 
-    In `time` it moves by its own size.
+    It has the attributes of `system`. In the time `time`, s, the system moves by its own size.
     """
 
     def __init__(self, system: MechanicalSystem, time: float) -> None:
@@ -172,7 +169,7 @@ class Derived:
         return getattr(self.system, name)
 
     def _total(self, value: Callable[..., Array], *states: tuple[Array, Array]) -> Array:
-        """Differentiate with respect to the design variables along given derivatives of states."""
+        """Return a value's total design derivative by real differences, shape (m, n_b)."""
         columns = []
         for i, size in enumerate(design_sizes(self.system)):
             unit = size * np.eye(self.system.n_b)[i]
@@ -204,25 +201,25 @@ class Derived:
 
 @final
 class Related(Derived):
-    """Values of a system that its other values determine, for `check_system`."""
+    """Values of a system derived from its other values by differences, for `check_system`."""
 
     def mass_along(self, q: Array, dq: Array) -> Array:
-        """M_q dq from `mass` by differences, values on the pattern."""
+        """Return M_q dq by differences of `mass`, values on the pattern, shape (nnz,)."""
         return self._by_number(lambda e: self.system.mass(q + e * dq))
 
     def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
-        """Q_t dt + Q_q dq + Q_v dv."""
+        """Return Q_t dt + Q_q dq + Q_v dv by differences of `force`, shape (n_q,)."""
         dt, dq, dv = direction
         return self._by_number(lambda e: self.system.force(t + e * dt, q + e * dq, v + e * dv))
 
     def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
-        """No load is known to turn: zero, and its Jacobian."""
+        """Return the follower load of the system, and its derivative in q by differences."""
         s = self.system
         tangent = self._by_coordinate(lambda x: s.following_load(t, x)[0], q, s.pattern)
         return s.following_load(t, q)[0], tangent
 
     def constraint(self, t: float, *motion: Array) -> Array:
-        """Phi, or the time derivative of that of the order before."""
+        """Return Phi, or the time derivative, by differences, of its rate of one order less."""
         if len(motion) == 1:
             return self.system.constraint(t, *motion)
         return self._by_number(lambda e: self.system.constraint(t + e, *moved_on(motion, e)))
@@ -234,7 +231,10 @@ class Related(Derived):
 
 
 def moved_on(motion: tuple[Array, ...], s: float) -> list[Array]:
-    """Return a motion (q, v, a, ...) a time s later, without its last rate, which is constant."""
+    """Return a motion (q, v, a, ...) a time s later, without its last rate.
+
+    The last rate is constant.
+    """
     count = len(motion)
     return [
         sum((motion[i + n] * (s**n / factorial(n)) for n in range(count - i)), 0.0 * motion[i])
@@ -243,12 +243,12 @@ def moved_on(motion: tuple[Array, ...], s: float) -> list[Array]:
 
 
 def design_sizes(system: MechanicalSystem) -> Array:
-    """Size of every design variable: its own, or one."""
+    """Return the magnitude of every design variable, shape (n_b,); one for zeros."""
     return np.where(system.b == 0, 1.0, np.abs(system.b))
 
 
 def coordinate_sizes(x: Array, weights: Array) -> Array:
-    """Return sizes of the coordinates, (n_q,): their own, or where these vanish that of all."""
+    """Return the magnitudes of the coordinates x, (n_q,); for small ones a common magnitude."""
     common = (norm(x, weights) or 1.0) / np.sqrt(weights * len(x))
     largest = np.max(np.abs(x)) or 1.0
     return np.where(np.abs(x) > 1e-3 * largest, np.abs(x), np.minimum(common, largest))

@@ -1,4 +1,4 @@
-"""Solution of a run with events: its phases, and a record of what happened between them."""
+"""Solution of a run with events: its phases, and a record of each event between them."""
 
 from __future__ import annotations
 
@@ -32,14 +32,15 @@ class EventRecord:
     mode : str
         Name of the mode that followed; ``"start"`` is the model that the run began with.
     impulse : float or None
-        Impulse P of an impact, in N s for a gap in m. None for other
-        events, and of a gap that another impact at the same time opened.
+        Impulse P of an impact, in N s for a gap in m. None for other events, and for a gap that
+        another impact at the same time opened.
     time_b, impulse_b : array, shape (n_b,), or None
         Their design derivatives, where the run was differentiated; s or N s per unit of the
         variable.
-    sliding_impulse : float or None
-        Impulse T of friction in the direction of the sliding velocity; N s. None without friction.
-    sliding_impulse_b : array, shape (n_b,), or None
+    sliding_impulse : float or array, shape (2,), or None
+        Impulse T of friction in the direction of the sliding velocity, or of both sliding
+        velocities of a cone of friction; N s. None without friction.
+    sliding_impulse_b : array, shape (n_b,) or (2, n_b), or None
         Its design derivatives, where the run was differentiated; N s per unit of the variable.
     """
 
@@ -49,7 +50,7 @@ class EventRecord:
     impulse: float | None = None
     time_b: Array | None = None
     impulse_b: Array | None = None
-    sliding_impulse: float | None = None
+    sliding_impulse: float | Array | None = None
     sliding_impulse_b: Array | None = None
 
 
@@ -62,10 +63,10 @@ class EventSolution(PrintedTable):
     ----------
     phases : tuple of Solution
         The motion between events. The last time point of a phase and the first one of the next are
-        the same time, before and after the event. Design derivatives are taken at a time that does
-        not move with the design; a_b and lam_b have the error of differences in time.
+        the same time, before and after the event. Design derivatives are taken at fixed times; a_b
+        and lam_b have the error of differences in time.
     events : tuple of EventRecord
-        What happened, in the order of time.
+        Events in the order of time.
     outcome : RunOutcome
         How the run ended.
     """
@@ -76,36 +77,37 @@ class EventSolution(PrintedTable):
 
     @property
     def t(self) -> Array:
-        """Times of all phases, (n_t,); each event appears twice."""
+        """Times of all phases between events, shape (n_t,), s; each event time appears twice."""
         return np.concatenate([phase.t for phase in self.phases])
 
     @property
     def q(self) -> Array:
-        """Coordinates of all phases, (n_t, n_q)."""
+        """Coordinates of all phases between events, shape (n_t, n_q)."""
         return np.concatenate([phase.q for phase in self.phases])
 
     @property
     def v(self) -> Array:
-        """Velocities of all phases, (n_t, n_q)."""
+        """Velocities of all phases between events, shape (n_t, n_q)."""
         return np.concatenate([phase.v for phase in self.phases])
 
     @property
     def a(self) -> Array:
-        """Accelerations of all phases, (n_t, n_q)."""
+        """Accelerations of all phases between events, shape (n_t, n_q)."""
         return np.concatenate([phase.a for phase in self.phases])
 
     def position(self, point: Any) -> Array:
-        """Position of a point such as ``rod.at(0.3)``, shape (n_t, d), in m."""
+        """Return the position of a point such as ``rod.at(0.3)``, shape (n_t, d); m."""
         return np.concatenate([phase.position(point) for phase in self.phases])
 
     def velocity(self, point: Any) -> Array:
-        """Velocity of a material point, shape (n_t, d), in m/s."""
+        """Return the velocity of a material point, shape (n_t, d); m/s."""
         return np.concatenate([phase.velocity(point) for phase in self.phases])
 
     def at(self, times: Numbers) -> tuple[Array, Array]:
-        """Return coordinates and velocities at increasing times, (k, n_q) each, by interpolation.
+        """Return q and v interpolated at increasing times, shape (k, n_q) each.
 
-        Within a phase as `Solution.at`; at the time of an event the state before it.
+        Within a phase the interpolation is that of `Solution.at`; at the time of an event the state
+        before it is returned.
         """
         asked = np.atleast_1d(require_array("times", times))
         ends = np.array([phase.t[-1] for phase in self.phases])
@@ -118,14 +120,14 @@ class EventSolution(PrintedTable):
         return np.concatenate([x.q for x in parts]), np.concatenate([x.v for x in parts])
 
     def to_dataframe(self) -> Any:
-        """Return a table of pandas with a row for each event: its name, time and impulse."""
+        """Return a pandas table with a row for each event: its name, time and impulse."""
         rows = [(each.name, each.time, each.impulse) for each in self.events]
         return pandas().DataFrame(rows, columns=["event", "time", "impulse"])
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write all phases and events to one file, complete or not at all; return its path.
 
-        Names of files are as in `Solution.save`; `load_event_solution` reads it.
+        The file name is chosen as in `Solution.save`; `load_event_solution` reads the file.
         """
         from ancfdae.equations import event_solution_file
 
@@ -142,9 +144,10 @@ class EventSolution(PrintedTable):
 
 
 def at_held_times(run: Solution, times: Array, states: Sensitivities, t_b: Array) -> Solution:
-    """Return the run of a phase at its times in the whole run, with derivatives at held times.
+    """Return the solution of a phase at its times in the whole run.
 
-    `states` are derivatives at the time points of the phase, which move with the design by t_b.
+    Its derivatives are taken at fixed times. `states` are derivatives at the time points of the
+    phase, which move with the design by t_b.
     """
 
     def rate(x: Array) -> Array:

@@ -1,4 +1,4 @@
-"""File of a run with events: the arrays of all phases, numbered, and everything else as JSON."""
+"""File format of a run with events: numbered arrays of all phases, other data as JSON."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.numerics.arrays import Array
 
 _FORMAT = "ancfdae event solution 1"
-_SLOPES = ("time_b", "impulse_b", "sliding_impulse_b")
+# Fields of a record that may be arrays, the last one where friction has a cone.
+_ARRAYS = ("time_b", "impulse_b", "sliding_impulse_b", "sliding_impulse")
 
 
 def write(
     path: Path, phases: Sequence[Mapping[str, Any]], events: Sequence[Any], outcome: RunOutcome
 ) -> Path:
-    """Write the fields of all phases, the records of events and the outcome to a file."""
+    """Write all phases, the records of events and the outcome to a file; return its path."""
     arrays: dict[str, Array] = {}
     metas = []
     for k, fields in enumerate(phases):
@@ -29,10 +30,9 @@ def write(
         metas.append(meta)
     records = []
     for k, event in enumerate(events):
-        record = {x: value for x, value in vars(event).items() if x not in _SLOPES}
-        slopes = {x: getattr(event, x) for x in _SLOPES}
-        arrays |= {f"event{k}_{x}": np.array(v) for x, v in slopes.items() if v is not None}
-        records.append(record)
+        own = {x: vars(event)[x] for x in _ARRAYS if isinstance(vars(event)[x], np.ndarray)}
+        arrays |= {f"event{k}_{x}": value for x, value in own.items()}
+        records.append({x: value for x, value in vars(event).items() if x not in own})
     ended = {**asdict(outcome), "verdict": outcome.verdict.name}
     meta = {"format": _FORMAT, "phases": metas, "events": records, "outcome": ended}
     return store(path, arrays, meta)
@@ -41,7 +41,7 @@ def write(
 def read(
     path: Path, naming: Unpack
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]], RunOutcome]:
-    """Return the fields of all phases, of the records, and the outcome that `write` wrote."""
+    """Return the fields of all phases, the records of events, and the outcome from a file."""
 
     def parts(
         arrays: Mapping[str, Array], meta: Mapping[str, Any]
@@ -55,8 +55,8 @@ def read(
             phases.append(unpacked(mine, own, naming))
         records = []
         for k, record in enumerate(meta["events"]):
-            slopes = {x: arrays.get(f"event{k}_{x}") for x in _SLOPES}
-            records.append({**record, **slopes})
+            own = {x: arrays[f"event{k}_{x}"] for x in _ARRAYS if f"event{k}_{x}" in arrays}
+            records.append({**record, **own})
         ended = {**meta["outcome"], "verdict": Verdict[meta["outcome"]["verdict"]]}
         return phases, records, RunOutcome(**ended)
 

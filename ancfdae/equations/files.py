@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Writing files completely or not at all."""
 
 import uuid
 from collections.abc import Iterator
@@ -13,10 +13,10 @@ from ancfdae.errors.kinds import AncfdaeError
 
 @final
 class SaveError(AncfdaeError, OSError):
-    """A file that could not be written, as on a full disk; what was there before is kept."""
+    """A file could not be written, for example on a full disk; its previous version is kept."""
 
 
-# What a full disk raises, in this process or in one that was started to write (ffmpeg).
+# Exceptions raised on a full disk, in this process or in one started to write (ffmpeg).
 _REFUSED = OSError, CalledProcessError
 
 
@@ -50,9 +50,9 @@ def replacing(where: str, path: Path) -> Iterator[IO[bytes]]:
 def replacing_path(where: str, path: Path) -> Iterator[Path]:
     """Yield the name of a temporary file beside `path`, which is moved there or removed.
 
-    It has the same suffix, by which libraries tell what to write.
+    It has the same suffix, from which libraries infer the format.
     """
-    # Not a file of `tempfile`: those are readable by their owner only, and would stay so.
+    # Not from `tempfile`, whose files are readable by their owner only and would remain so.
     temporary = path.parent / f"{path.stem}.{uuid.uuid4().hex}.part{path.suffix}"
     try:
         with saving(where, path):

@@ -1,8 +1,9 @@
-"""Mechanical systems of a user, given by formulas for M, Q, Phi and the start.
+"""User-defined mechanical systems, given by formulas for M, Q, Phi and the start.
 
-The formulas run once, on tracers, and become lists of operations that a kernel evaluates with all
-their derivatives (`ancfdae.equations.formulas`). M, Q or Phi that needs a number where a tracer has
-none is called by the list, in complex numbers: its first derivatives are complex steps.
+The formulas are called once, on symbols, and become lists of operations that a kernel evaluates
+with all their derivatives (`ancfdae.equations.formulas`). A formula for M, Q or Phi that needs a
+number in place of a symbol is called at each evaluation, in complex numbers: its first derivatives
+are complex steps.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 
 from ancfdae.equations.complex_steps import FORGOTTEN, at_values
 from ancfdae.equations.formulas import Formulas, Value, bare, is_bare, wrong_shape
+from ancfdae.equations.plans import ListPlan
 from ancfdae.equations.system import (
     DesignPartials,
     Linearisation,
@@ -27,27 +29,27 @@ from ancfdae.equations.system import (
     SystemProperties,
 )
 from ancfdae.errors.kinds import InvalidInputError, NotTracedWarning, StabilityWarning
-from ancfdae.kernels import Csr, ListPlan, OperationList
+from ancfdae.kernels import OperationList
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.complex_step import require_derivative
 from ancfdae.numerics.operations import Operations
-from ancfdae.numerics.patterns import SparsityPattern
+from ancfdae.numerics.patterns import Csr, SparsityPattern
 
-# What a motion consists of.
+# Names of coordinates and their rates in a motion.
 _RATES = ("q", "v", "a", "j")
-# Kinds of systems whose formulas are being traced.
+# Classes of systems whose formulas are being traced.
 _TRACING: ContextVar[frozenset[type]] = ContextVar("_TRACING", default=frozenset())
-# Formulas of the system whose `with_values` runs.
+# Formulas of the system whose `with_values` is being executed.
 _HANDED: ContextVar[Formulas | None] = ContextVar("_HANDED", default=None)
-# Distances of trial states from the start, relative to its size: beside it, where every system is
-# defined, and beyond it on both sides, where velocities have either sign.
+# Distances of trial states from the start, relative to its size: near it, where every system is
+# defined, and farther away on both sides, where velocities have either sign.
 _BESIDE, _BEYOND = 1e-2, (0.4, -0.4)
 # Largest difference between values of a list and of the functions, relative to the largest value.
 _SAME = 1e-9
-# Relative steps at which second differences over the step are compared: of a function with a
-# derivative they fall by more than the factor; what is below that round-off has one.
+# Relative steps at which second differences over the step are compared: for a differentiable
+# function they fall by more than the factor; differences below the round-off level are not judged.
 _KINK_STEPS, _FALLING, _ROUND_OFF = (1e-5, 1e-8), 0.2, 1e-14
-# The formulas of a user, and what they are among `Formulas`.
+# Methods that a user writes, with the corresponding values of `Formulas`.
 _FORMULAS: tuple[tuple[str, Value, tuple[int, ...]], ...] = (
     ("mass_matrix", Formulas.mass, ()),
     ("force", Formulas.force, ()),
@@ -56,21 +58,21 @@ _FORMULAS: tuple[tuple[str, Value, tuple[int, ...]], ...] = (
 
 
 class FormulaSystem(ListedSystem):
-    """A system that is given by formulas for M, Q, Phi and its start.
+    """A user-defined system, given by formulas for M, Q, Phi and its start.
 
     Subclasses set `n_q`, `n_lam` and `design_names`, implement `mass_matrix`, `force`,
     `position_constraint`, `start` and `with_values`, and call ``super().__init__(b)`` at the end
     of their own constructor. The first three are smooth functions of q, v, t and ``self.b`` in
     functions of NumPy. They are called once, with arrays of symbols in place of numbers, and
-    become lists of operations that are evaluated at compiled speed. If one of them needs a number
-    (`if`, a table, `np.linalg.solve`), a warning (`NotTracedWarning`) names the line, and it is
-    called with complex numbers at each evaluation: a run takes some hundred times as long. An
-    `ExternalFunction` in it, such as a table with its derivative, is called by itself. `start` is
-    called with complex ``self.b``. Any partial may be overridden by a formula of the user;
-    `check_system` compares.
+    become lists of operations that are evaluated at compiled speed. If a formula needs a number
+    (`if`, a table, `np.linalg.solve`), a warning (`NotTracedWarning`) names the line, and the
+    formula is called with complex numbers at each evaluation: a run takes about a hundred times as
+    long. An `ExternalFunction` in a formula, such as a table with its derivative, is called alone.
+    `start` is called with complex ``self.b``. Any partial may be overridden by a formula of the
+    user; `check_system` compares them.
 
-    Whether M is constant, Phi linear, and the same at all times and designs, and Q independent of v
-    is found from the formulas and added to `traits`.
+    Whether M is constant, whether Phi is linear and the same at all times and designs, and whether
+    Q is independent of v is found from the formulas and added to `traits`.
 
     Parameters
     ----------
@@ -87,7 +89,7 @@ class FormulaSystem(ListedSystem):
     _formulas: Formulas
 
     def __init_subclass__(cls, **named: Any) -> None:
-        """Hand formulas on from a system to the one that its `with_values` returns."""
+        """Make `with_values` of the class pass the traced formulas on to the system it returns."""
         super().__init_subclass__(**named)
         written = vars(cls).get("with_values")
         if written is None:
@@ -108,7 +110,7 @@ class FormulaSystem(ListedSystem):
     def __init__(self, b: Array | tuple[complex, ...]) -> None:
         self.b, where = np.asarray(b), type(self).__name__
         if self.b.dtype == object or is_bare():
-            return  # Its formulas are being traced, or called by a list.
+            return  # The formulas are being traced, or called from a list of operations.
         self.b = self.b * 1.0
         if self.b.shape != (self.n_b,):
             rule = f"must have shape ({self.n_b},)"
@@ -124,7 +126,7 @@ class FormulaSystem(ListedSystem):
         self.called_functions = tuple(self._formulas.called)
         self.scleronomic = self._formulas.scleronomic
         self.traits = self._found()
-        # In place of the method of the same name, which is the formula.
+        # The attribute replaces the method of the same name, which is the user's formula.
         vars(self)["force"] = self._force
         self.weights = self.coordinate_weights()
         if not np.all(self.weights > 0):
@@ -132,7 +134,7 @@ class FormulaSystem(ListedSystem):
             raise InvalidInputError(f"{where}.weights", "must be positive", self.weights, repair)
 
     def _trace(self) -> None:
-        """Trace the formulas; those that need numbers are tried with complex ones."""
+        """Trace the formulas; formulas that need numbers are tried with complex ones."""
         kind, tracing = type(self), _TRACING.get()
         if kind in tracing:
             raise InvalidInputError(f"{kind.__name__}.with_values", *FORGOTTEN)
@@ -161,23 +163,24 @@ class FormulaSystem(ListedSystem):
 
     @abc.abstractmethod
     def mass_matrix(self, q: Array) -> Array:
-        """Return M, shape (n_q, n_q)."""
+        """Return the mass matrix M, shape (n_q, n_q)."""
 
     @abc.abstractmethod
     def position_constraint(self, t: float, q: Array) -> Array:
-        """Return Phi, shape (n_lam,)."""
+        """Return the constraints Phi, shape (n_lam,), which vanish on admissible positions."""
 
     def coordinate_weights(self) -> Array:
-        """Return `weights`; by default the diagonal of M at the start."""
+        """Return the `weights`, shape (n_q,); by default the diagonal of M at the start."""
         M = np.asarray(self.mass_matrix(self.start()[0]))
         if M.shape != (shape := (self.n_q, self.n_q)):
             raise wrong_shape(f"{type(self).__name__}.mass_matrix", shape, M.shape)
         return np.diagonal(M).real.astype(float)
 
     def _require_the_same(self) -> None:
-        """Refuse a function whose list has other values, or whose derivatives are not its own.
+        """Raise InvalidInputError if recorded operations differ from a formula's own values.
 
-        At the start and beside it; at the start alone Phi is round-off.
+        Values and derivatives are compared at the start and near it, because at the start itself
+        Phi is round-off.
         """
         (q, v), (times, Q, V) = self._declared_start(), self._samples()
         kind, of_M = type(self), self._formulas.patterns[0]
@@ -217,7 +220,7 @@ class FormulaSystem(ListedSystem):
                 )
 
     def _declared_start(self) -> tuple[Array, Array]:
-        """Return the start; refuse one of another shape, or that is not analytic in b."""
+        """Return q and v at the start; InvalidInputError for wrong shapes or lost derivatives."""
         where, shape = f"{type(self).__name__}.start", (self.n_q,)
         q, v = (np.asarray(x) for x in self.start())
         for x in (q, v):
@@ -242,7 +245,7 @@ class FormulaSystem(ListedSystem):
         start: tuple[Array, Array],
         changes: tuple[Array, ...],
     ) -> None:
-        """Refuse functions that are called and whose complex steps are not their derivatives."""
+        """Raise InvalidInputError if complex steps of a called formula are not its derivatives."""
 
         def value(t: Array, q: Array, v: Array, b: Array) -> Array:
             return self._formulas.values(of, *which, t=t, q=q, v=v, b=b)[0].ravel()
@@ -255,11 +258,11 @@ class FormulaSystem(ListedSystem):
             except (ArithmeticError, ValueError):
                 if away == _BESIDE:
                     raise
-                continue  # It is not defined there.
+                continue  # The formula is not defined there.
             require_derivative(where, value, x, [np.ones(1), *changes])
 
     def require_derivatives_at(self, t: float, q: Array, v: Array) -> None:
-        """Refuse called functions whose complex steps at a state are not their derivatives."""
+        """Raise InvalidInputError if complex steps of called formulas at a state are wrong."""
         changes = self._changes(q, v)
         for name, of, which in _FORMULAS:
             if self._formulas.calls(of, *which):
@@ -279,7 +282,7 @@ class FormulaSystem(ListedSystem):
                 require_derivative(where, value, x, [np.ones(1), *changes])
 
     def _samples(self) -> tuple[Array, Array, Array]:
-        """Return times, coordinates and velocities of three states: the start, and two beside it.
+        """Return times, coordinates and velocities of three states: the start, and two near it.
 
         Shapes (3,), (3, n_q) and (3, n_q).
         """
@@ -288,15 +291,15 @@ class FormulaSystem(ListedSystem):
         return shares, q + np.outer(shares, dq), v + np.outer(shares, dv)
 
     def _changes(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Return changes of q, v and b of their own size, no two entries alike."""
+        """Return changes of q, v and b for differences: of their size, all entries different."""
         n, b = np.arange(1.0, self.n_q + 1), self.b.real
         db = np.where(b == 0, 1.0, b) * np.cos(0.5 + np.arange(self.n_b))
         return np.cos(n) * _size(q), np.sin(n) * _size(v), db
 
     def _warn_of_kinks(self) -> None:
-        """Warn where a root vanishes at the start and leaves M, Q or Phi without a derivative.
+        """Warn if a root is zero at the start, so that M, Q or Phi has no derivative there.
 
-        Where f has a derivative, (f(s) - 2 f(0) + f(-s)) / s vanishes with s; |s| has 2 there.
+        If f has a derivative, (f(s) - 2 f(0) + f(-s)) / s vanishes with s; for |s| it is 2.
         """
         formulas, (q, v) = self._formulas, self.start()
         if not formulas.root_lines:
@@ -327,7 +330,7 @@ class FormulaSystem(ListedSystem):
                 )
 
     def _require_declared(self) -> None:
-        """Refuse declared properties that values at the sample states contradict."""
+        """Raise InvalidInputError if values at the sample states contradict declared traits."""
         traits, constant = self.traits, self.traits.constant_constraints
         if not (traits.constant_mass or traits.linear_constraints or constant) and (
             traits.velocity_forces
@@ -369,7 +372,7 @@ class FormulaSystem(ListedSystem):
                 )
 
     def _found(self) -> SystemProperties:
-        """Return the traits with what the formulas show."""
+        """Return the traits of the system: those declared, and those found from the formulas."""
         traits, shown = self.traits, self._formulas.shown
         linear = traits.linear_constraints or shown.linear_constraints
         constant = traits.constant_constraints or (linear and shown.constant_constraints)
@@ -388,50 +391,50 @@ class FormulaSystem(ListedSystem):
 
     @staticmethod
     def _motion(motion: tuple[Array, ...], sign: str = "") -> dict[str, Any]:
-        """Return the parts of a motion by their names."""
+        """Return the coordinates and time derivatives q, v, a, j of a motion by name."""
         return {f"{sign}{name}": x for name, x in zip(_RATES, motion, strict=False)}
 
     def index_1(self, derivatives: bool) -> tuple[OperationList, ...]:
-        """Return the lists from which a kernel finds accelerations."""
+        """Return the lists for accelerations (index 1) in a kernel, with derivatives if asked."""
         lists = self._formulas.accelerations
         return lists + self._formulas.differentiated if derivatives else lists
 
     def right_side(self) -> tuple[Operations, dict[str, Array], dict[str, Array]]:
-        """Return the list, numbers of Q, M, Phi_q and the side of Phi'', and numbers of inputs."""
+        """Return operations for accelerations, numbers of Q, M, Phi_q, Phi'', and of inputs."""
         return self._formulas.right_side()
 
     @cached_property
     def list_plan(self) -> ListPlan:
-        """The lists that a kernel integrates."""
+        """Operation lists with which a kernel evaluates the equations of motion in a time step."""
         velocity = self.traits.velocity_forces
         B, K = (_csr(pattern) for pattern in (self.constraint_pattern, self.pattern))
         weights = self.weights, 1 / self.weights
         return ListPlan(self._formulas.march(velocity), self.b, *weights, B, K, velocity)
 
     def start_b(self) -> tuple[Array, Array]:
-        """Return the partials of `start`; shapes (n_q, n_b)."""
+        """Return the design derivatives of the start, shape (n_q, n_b) each."""
         if self._formulas.moving_start:
             return super().start_b()
         return np.zeros((self.n_q, self.n_b)), np.zeros((self.n_q, self.n_b))
 
     def mass(self, q: Array) -> Array:
-        """Return the entries of M on its pattern, shape (nnz,)."""
+        """Return the values of M on its pattern, shape (nnz,)."""
         return self._values(Formulas.mass, q=q)[0]
 
     def mass_along(self, q: Array, dq: Array) -> Array:
-        """Differentiate M along dq."""
+        """Return the derivative of M along dq, values on its pattern, shape (nnz,)."""
         return self._values(Formulas.mass_along, q=q, dq=dq)[0]
 
     def _force(self, t: float, q: Array, v: Array) -> Array:
         return self._values(Formulas.force, t=[t], q=q, v=v)[0]
 
     def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
-        """Differentiate Q along a direction."""
+        """Return the derivative of Q along (dt, dq, dv), shape (n_q,)."""
         dt, dq, dv = direction
         return self._values(Formulas.force_along, t=[t], q=q, v=v, dt=[dt], dq=dq, dv=dv)[0]
 
     def force_and_total(self, t: float, q_rows: Array, v_rows: Array) -> Array:
-        """Return Q above its total derivatives with respect to the design."""
+        """Return Q and its total design derivatives as rows, shape (1 + n_b, n_q)."""
         q, v = q_rows[0], v_rows[0]
         moved = {"dq": q_rows[1:], "dv": v_rows[1:], "db": np.eye(self.n_b)}
         of = Formulas.force_total
@@ -439,17 +442,17 @@ class FormulaSystem(ListedSystem):
         return np.concatenate([self._force(t, q, v)[None], total])
 
     def constraint(self, t: float, *motion: Array) -> Array:
-        """Return Phi or its time derivative."""
+        """Return Phi, or its time derivative of the order of the rates in `motion`, (n_lam,)."""
         at = self._motion(motion)
         return self._values(Formulas.constraint, len(motion) - 1, t=[t], **at)[0]
 
     def constraint_q(self, t: float, *motion: Array) -> Array:
-        """Return Phi_q or its time derivative."""
+        """Return the values of Phi_q, or of its time derivative, on its pattern, shape (nnz,)."""
         at = self._motion(motion)
         return self._values(Formulas.constraint_q, len(motion) - 1, t=[t], **at)[0]
 
     def constraints_q(self, t: Array, *motion: Array) -> Array:
-        """Return Phi_q or its time derivative at k time points on its pattern, shape (k, nnz)."""
+        """Return the values of Phi_q, or of its time derivative, at k times, shape (k, nnz)."""
         at = self._motion(motion)
         orders = len(motion) - 1
         return self._values(Formulas.constraint_q, orders, rows=len(t), t=t[:, None], **at)[0]
@@ -457,7 +460,7 @@ class FormulaSystem(ListedSystem):
     def constraint_total(
         self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None
     ) -> Array:
-        """Return the total derivative of `constraint` with respect to the design."""
+        """Return the total design derivative of `constraint`, shape (n_lam, n_b)."""
         at: dict[str, Any] = {"t": [t], "db": np.eye(self.n_b)}
         at |= {f"d{name}": np.zeros(self.n_q) for name in _RATES[: len(motion)]}
         at |= self._motion(motion)
@@ -467,7 +470,7 @@ class FormulaSystem(ListedSystem):
         return self._values(of, order, rows=self.n_b, **at)[0].T
 
     def linearise(self, t: Array, q: Array, v: Array | None, a: Array, lam: Array) -> Linearisation:
-        """Return the Jacobians of f and Phi at k time points."""
+        """Return M, f_q, f_v and Phi_q at k time points as a `Linearisation`."""
         with_v = v is not None and self.traits.velocity_forces
         at = {"q": q, "a": a, "lam": lam} | ({} if v is None else {"v": v})
         of = Formulas.linearised
@@ -479,7 +482,7 @@ class FormulaSystem(ListedSystem):
     def design_partials(
         self, t: Array, q: Array, v: Array | None, a: Array, lam: Array
     ) -> DesignPartials:
-        """Return the partials of f and Phi with respect to the design at k time points."""
+        """Return the design partials of f and Phi at k time points."""
         at = {"q": q, "a": a, "lam": lam} | ({} if v is None else {"v": v})
         of = Formulas.partials
         return DesignPartials(*self._values(of, v is not None, rows=len(t), t=t[:, None], **at))
@@ -490,5 +493,5 @@ def _size(x: Array) -> float:
 
 
 def _csr(pattern: SparsityPattern) -> Csr:
-    """Return the places of a pattern, with values of one."""
+    """Return a pattern as a sparse matrix of ones: row starts, columns and values."""
     return *pattern.places, np.ones(pattern.size)

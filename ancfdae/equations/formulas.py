@@ -1,13 +1,14 @@
 """M, Q and Phi of a system as lists of operations, with every derivative that the protocol needs.
 
-The functions of a user run once, on tracers of t, q, v and b (`ancfdae.numerics.operations`). With
-D for the derivative along a direction, which `Operations.along` writes as more operations,
+The functions of a user are called once, on symbols for t, q, v and b
+(`ancfdae.numerics.operations`). With D for the derivative along a direction, which
+`Operations.along` adds as further operations,
 
     Phi', Phi'', Phi'''      D Phi, D D Phi, D D D Phi along the motion (1, v, a, j) of (t, q, v, a)
     Phi_q and its rates      D along each coordinate, then along the motion
     f                        M a + Phi_q^T lam - Q
     f_q, f_v, f_b, Phi_b     D along each coordinate, velocity and design variable
-    totals                   D along changes of everything that a value depends on
+    totals                   D along changes of all arguments of a value
 
 Each list is compiled when its values are first asked for. Lists take real and complex numbers, so
 that what the protocol derives from values by complex steps is exact to round-off as well. M, Q or
@@ -30,27 +31,27 @@ import numpy as np
 from ancfdae.equations.complex_steps import FORGOTTEN
 from ancfdae.equations.system import SystemProperties
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import OperationList, list_values
+from ancfdae.kernels import OperationList
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.external import Called
 from ancfdae.numerics.operations import TRACE_FAILURES, NotTraceable, Operations, Traced, told
 from ancfdae.numerics.patterns import SparsityPattern
 
-# A method of `Formulas` that returns numbers of the list of operations.
+# A method of `Formulas` that returns indices of operations.
 Value: TypeAlias = Callable[..., tuple[Array, ...]]
-# Matrices of at most _FULL unknowns are full.
+# Largest number of unknowns for which matrices have full patterns.
 _FULL = 64
-# What a motion consists of: each is the rate of the one before.
+# Names of coordinates and their rates in a motion: each is the rate of the one before.
 _MOTION = ("q", "v", "a", "j")
 
 
-# Whether constructors keep b and make no lists.
+# Whether constructors of systems store b only and trace no formulas.
 _BARE: ContextVar[bool] = ContextVar("_BARE", default=False)
 
 
 @contextmanager
 def bare() -> Iterator[None]:
-    """Make systems that hold their b, and no lists."""
+    """Within this context systems are made that store their b but no operation lists."""
     token = _BARE.set(True)
     try:
         yield
@@ -59,13 +60,13 @@ def bare() -> Iterator[None]:
 
 
 def is_bare() -> bool:
-    """Whether systems are made without lists."""
+    """Whether systems are currently made without operation lists."""
     return _BARE.get()
 
 
 @final
 class _Method:
-    """A method of a system as a function of a row of the numbers that it takes, b last."""
+    """A method of a system as a function of one array of its arguments, b last."""
 
     def __init__(self, system: Any, name: str, inputs: str, shape: tuple[int, ...]) -> None:
         self._system, self._method, self._shape = copy.copy(system), name, shape
@@ -90,12 +91,12 @@ class _Method:
 
 
 def _arguments(inputs: str, parts: Sequence[Array]) -> list[Any]:
-    """Return the arguments of a method, in which t is a number."""
+    """Return the arguments of a method from arrays; t becomes a number."""
     return [x.item() if name == "t" else x for name, x in zip(inputs, parts, strict=False)]
 
 
 def _has_symbols(function: Callable[[], Any]) -> bool:
-    """Whether a function returns symbols, or cannot be called with them in what it reads."""
+    """Whether a function returns symbols, or fails when called with them."""
     try:
         return np.asarray(function()).dtype.kind not in "biuf"
     except (InvalidInputError, *TRACE_FAILURES):
@@ -109,7 +110,7 @@ def wrong_shape(where: str, shape: tuple[int, ...], got: tuple[int, ...]) -> Inv
 
 
 class _List(NamedTuple):
-    """Several values as one list: the inputs that they follow from, their ends and shapes."""
+    """Several values of a system as one operation list: inputs, and slices and shapes of values."""
 
     operations: OperationList
     inputs: tuple[str, ...]
@@ -119,10 +120,10 @@ class _List(NamedTuple):
 
 @final
 class Formulas:
-    """M, Q and Phi of a system at any values of its design variables.
+    """M, Q and Phi of a system as operations, with their derivatives, for any design values.
 
-    Methods other than `values` return numbers of the list of operations, in arrays; `values` takes
-    one of them with its arguments, and evaluates what it returns.
+    Methods other than `values` return arrays of indices of operations; `values` takes such a method
+    with its arguments, and evaluates the operations.
 
     Parameters
     ----------
@@ -159,9 +160,9 @@ class Formulas:
     def _traced_or_called(
         self, system: Any, moved: Any, why: str, name: str, inputs: str, shape: tuple[int, ...]
     ) -> Array:
-        """Return numbers of a value, of the given shape; of a call if it cannot be traced.
+        """Return operations of a value, of the given shape; a call if it cannot be traced.
 
-        `why` says that nothing can, or is empty.
+        `why` is the reason if no formula can be traced, else empty.
         """
         operations, where = self._operations, f"{self.kind.__name__}.{name}"
         given = _arguments(inputs, [Traced.array(operations, self._at[x]) for x in inputs])
@@ -183,13 +184,13 @@ class Formulas:
         return numbers
 
     def values(self, of: Value, *which: Any, rows: int | None = None, **at: Any) -> list[Array]:
-        """Return values at one state, or at `rows` states, which are rows of what `at` holds."""
+        """Return the values of `of` at one state, or at `rows` states given as rows of `at`."""
         key = of.__name__, *which
         made = self._lists.get(key)
         if made is None:
             made = self._lists[key] = self._compiled(of(self, *which))
-        out = list_values(made.operations, *[at[name] for name in made.inputs])
-        if rows is not None and out.ndim == 1:  # Nothing that the values follow from has rows.
+        out = made.operations.values(*[at[name] for name in made.inputs])
+        if rows is not None and out.ndim == 1:  # No input of the values has rows.
             out = np.repeat(out[None], rows, axis=0)
         lead = out.shape[:-1]
         if len(made.shapes) == 1:
@@ -207,23 +208,23 @@ class Formulas:
         return _List(self._operations.compiled(outputs, numbers), inputs, places, shapes)
 
     def _inputs(self, outputs: Array) -> tuple[str, ...]:
-        """Return the names of the inputs that outputs follow from."""
+        """Return the names of the inputs that some output operations depend on."""
         found = {bisect_right(self._ends, x) for x in self._operations.inputs(outputs)}
         return tuple(self._names[i] for i in sorted(found))
 
     def depends(self, of: Value, *which: Any, on: str) -> bool:
-        """Whether values follow from an input."""
+        """Whether the values of `of` depend on an input."""
         return on in self._inputs(np.concatenate([x.ravel() for x in of(self, *which)]))
 
     def calls(self, of: Value, *which: Any) -> bool:
-        """Whether values need a function that is called."""
+        """Whether the values of `of` depend on a function that is called, not traced."""
         return self._operations.calls(np.concatenate([x.ravel() for x in of(self, *which)]))
 
     @cached_property
     def patterns(self) -> tuple[SparsityPattern, SparsityPattern]:
         """Patterns of M with f_q and f_v, which is symmetric, and of Phi_q.
 
-        Of few unknowns they are full, else the entries that are not zero in all states.
+        For few unknowns they are full, otherwise they hold the entries that may be nonzero.
         """
         shapes = (self._M.shape, (len(self._Phi), len(self._M)))
         if sum(shapes[1]) <= _FULL:
@@ -239,60 +240,63 @@ class Formulas:
     # -- what is evaluated -----------------------------------------------------------------------
 
     def mass(self) -> tuple[Array, ...]:
-        """M on its pattern."""
+        """Return the operations for the values of the mass matrix M on its pattern."""
         return (self._on(0, self._M),)
 
     def force(self) -> tuple[Array, ...]:
-        """Q."""
+        """Return the operations for the force Q."""
         return (self._Q,)
 
     def roots(self) -> tuple[Array, ...]:
-        """Roots that the formulas take, in the order of `root_lines`."""
+        """Return the operations of the square roots in the formulas, as in `root_lines`."""
         return (np.array(list(self._operations.roots), dtype=np.int64),)
 
     @property
     def root_lines(self) -> tuple[str, ...]:
-        """Lines of the user's code that take the roots."""
+        """Lines of the user's code that contain the square roots."""
         return tuple(self._operations.roots.values())
 
     def mass_along(self) -> tuple[Array, ...]:
-        """M_q dq."""
+        """Return the operations for the values of M_q dq on the pattern of M."""
         return (self._along(*self.mass(), q="dq"),)
 
     def force_along(self) -> tuple[Array, ...]:
-        """Q_t dt + Q_q dq + Q_v dv."""
+        """Return operations for the differential of the force, Q_t dt + Q_q dq + Q_v dv."""
         return (self._along(self._Q, t="dt", q="dq", v="dv"),)
 
     def force_total(self) -> tuple[Array, ...]:
-        """Q_q dq + Q_v dv + Q_b db."""
+        """Return operations for the differential of the force, Q_q dq + Q_v dv + Q_b db."""
         return (self._along(self._Q, q="dq", v="dv", b="db"),)
 
     def constraint(self, order: int) -> tuple[Array, ...]:
-        """Phi or its time derivative of an order."""
+        """Return the operations for Phi, or for its time derivative of this order."""
         return (self._rate(order, "constraint", lambda: self._Phi),)
 
     def constraint_q(self, order: int) -> tuple[Array, ...]:
-        """Phi_q or its time derivative of an order, on its pattern."""
+        """Return the operations for Phi_q, or its time derivative of an order, on its pattern."""
         return (self._on(1, self._rate(order, "constraint_q", lambda: self._jacobian)),)
 
     def constraint_total(self, order: int) -> tuple[Array, ...]:
-        """Return D of `constraint` along changes of the motion and of b."""
+        """Return the operations of the derivative of `constraint` along the motion and b."""
         (Phi,) = self.constraint(order)
         return (self._along(Phi, q="dq", v="dv", a="da", j="dj", b="db"),)
 
     def linearised(self, forces: bool, velocities: bool) -> tuple[Array, ...]:
-        """M, f_q, f_v if asked for, and Phi_q; f without Q unless `forces`."""
+        """Return the operations of M, f_q, f_v if `velocities`, and Phi_q.
+
+        Unless `forces`, f is taken without Q.
+        """
         f = self._residual(forces)
         tangents = (self._on(0, self._by(f, x)) for x in "qv"[: 1 + velocities])
         return (*self.mass(), *tangents, *self.constraint_q(0))
 
     def partials(self, forces: bool) -> tuple[Array, ...]:
-        """f_b and Phi_b; f without Q unless `forces`."""
+        """Return the operations of f_b and Phi_b; unless `forces`, f is taken without Q."""
         return self._by(self._residual(forces), "b"), self._by(self._Phi, "b")
 
     @cached_property
     def accelerations(self) -> tuple[OperationList, ...]:
-        """Lists from which accelerations and projections follow (`kernels/index_1.h`)."""
+        """Lists of operations for accelerations and projections (`kernels/index_1.h`)."""
         Phi, rate = (self.constraint(order)[0] for order in range(2))
         held = {"t": self._one, "q": self._at["v"]}
         gamma = Traced.numbers(self._operations, -self._traced(self._moved(rate, held)[0]))
@@ -301,7 +305,7 @@ class Formulas:
 
     @cached_property
     def differentiated(self) -> tuple[OperationList, ...]:
-        """Lists from which derivatives of `accelerations` follow."""
+        """Lists of operations for the derivatives of `accelerations`."""
         state, changes = ("t", "q", "v"), ("b", "dq", "dv", "db")
         moved = {"q": "dq", "v": "dv", "b": "db"}
         Phi, rate, second = (self.constraint(order)[0] for order in range(3))
@@ -319,7 +323,7 @@ class Formulas:
 
     @cached_property
     def shown(self) -> SystemProperties:
-        """Properties that the formulas show, whatever b is; "constant" as without t and b."""
+        """Traits that the formulas prove for all b; "constant" means independent of t and b."""
         still = self.scleronomic and not self.depends(Formulas.constraint, 0, on="b")
         return SystemProperties(
             constant_mass=not self.depends(Formulas.mass, on="q"),
@@ -329,9 +333,9 @@ class Formulas:
         )
 
     def right_side(self) -> tuple[Operations, dict[str, Array], dict[str, Array]]:
-        """Return the list, numbers of Q, M, Phi_q and Phi'' at a = 0, and numbers of inputs.
+        """Return the operations, numbers of Q, M, Phi_q and Phi'' at a = 0, and of the inputs.
 
-        What follows from functions that are called is left out.
+        Values that depend on functions that are called are left out.
         """
         held = {"t": self._one, "q": self._at["v"]}
         gamma = self._moved(self._rate(1, "constraint", lambda: self._Phi), held)[0]
@@ -340,20 +344,20 @@ class Formulas:
         return self._operations, listed, self._at
 
     def march(self, velocity: bool) -> tuple[OperationList, ...]:
-        """Return the lists of a `ListPlan`."""
+        """Return the operation lists of a `ListPlan` for time stepping in a kernel."""
         _, *tangents, Phi_q = self.linearised(True, velocity)
         Phi, rate = (self.constraint(order)[0] for order in range(2))
         values = ([Phi_q], [Phi], [rate], [self._Q], [*self.mass()], tangents)
         return tuple(self._list(outputs, "t", "q", "v", "a", "lam", "b") for outputs in values)
 
     def _list(self, outputs: Sequence[Array], *inputs: str) -> OperationList:
-        """Compile outputs as a list that takes all of some inputs."""
+        """Return operations compiled to a list that takes all numbers of the named inputs."""
         numbers = np.concatenate([self._at[name] for name in inputs])
         flat = np.concatenate([x.ravel() for x in outputs])
         return self._operations.compiled(flat, numbers)
 
     def _residual(self, forces: bool) -> Array:
-        """Return M a + Phi_q^T lam - Q, or without Q, shape (n_q,)."""
+        """Return the operations of M a + Phi_q^T lam - Q, or without Q, shape (n_q,)."""
         key = "residual", int(forces)
         if key in self._made:
             return self._made[key]
@@ -368,23 +372,23 @@ class Formulas:
 
     @cached_property
     def _jacobian(self) -> Array:
-        """Phi_q, shape (n_lam, n_q)."""
+        """Operations of Phi_q, shape (n_lam, n_q)."""
         return self._by(self._Phi, "q")
 
     def _on(self, which: int, matrix: Array) -> Array:
-        """Return the entries of a matrix on one of the patterns, shape (nnz,)."""
+        """Return the entries of a matrix on the pattern of M (0) or of Phi_q (1), shape (nnz,)."""
         pattern = self.patterns[which]
         return matrix[pattern.rows, pattern.columns]
 
     # -- derivatives -----------------------------------------------------------------------------
 
     def _along(self, values: Array, **direction: str) -> Array:
-        """Return D of values where inputs move by other inputs."""
+        """Return the operations for the derivative of values along changes of inputs, by name."""
         pairs = {name: self._at[by] for name, by in direction.items()}
         return self._moved(values, pairs)[0]
 
     def _rate(self, order: int, name: str, value: Callable[[], Array]) -> Array:
-        """Return a time derivative of values along the motion."""
+        """Return the operations for the time derivative of values along the motion."""
         key = name, order
         if key not in self._made:
             if order == 0:
@@ -397,7 +401,7 @@ class Formulas:
         return self._made[key]
 
     def _by(self, values: Array, name: str) -> Array:
-        """Return partials with respect to each entry of an input, shape (*values.shape, n)."""
+        """Return the operations for partials in each entry of an input, (*values.shape, n)."""
         units = [{x: int(self._one[0])} for x in self._at[name].tolist()]
         columns = self._operations.along(values, *units)
         return np.stack(columns, axis=-1) if columns else np.zeros((*values.shape, 0), np.int64)

@@ -1,4 +1,4 @@
-"""Protocol by which a solution finds points, joints and coordinates of a system by name."""
+"""Base class by which a solution finds points, joints and coordinates of a system by name."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Naming(abc.ABC):
 
     @abc.abstractmethod
     def nodes(self, states: Array, name: str) -> Array:
-        """Return the node vectors of a part in states of shape (k, n_q), (k, n_nodes, n_s, d)."""
+        """Return the node vectors of a body in states of shape (k, n_q), (k, n_nodes, n_s, d)."""
 
     @abc.abstractmethod
     def ends(self, states: Array, name: str) -> Array:
@@ -21,7 +21,7 @@ class Naming(abc.ABC):
 
     @abc.abstractmethod
     def position(self, states: Array, point: Any) -> Array:
-        """Return the position of a point in states of shape (k, n_q), shape (k, d)."""
+        """Return the position of a point in states of shape (k, n_q), shape (k, d); m."""
 
     @abc.abstractmethod
     def slope(self, states: Array, point: Any, along: int) -> Array:
@@ -29,28 +29,28 @@ class Naming(abc.ABC):
 
     @abc.abstractmethod
     def rows(self, joint: str) -> slice:
-        """Return the places of the multipliers of a joint."""
+        """Return the slice of the multipliers of a joint in lam."""
 
     @abc.abstractmethod
     def reaction(self, lam: Array, joint: str) -> Array:
-        """Return the force of a joint on its first point, shape (k, d)."""
+        """Return the force of a joint on its first point, shape (k, d); N."""
 
     @abc.abstractmethod
     def coordinate_names(self) -> list[str]:
-        """Return a name for each coordinate."""
+        """Return a name for each coordinate, n_q in all."""
 
     @abc.abstractmethod
     def centred(self, q: Array, weights: Array) -> Array:
-        """Return coordinates, (n_q,), moved as a whole to where the mean of positions is zero."""
+        """Return the coordinates, (n_q,), translated so that the weighted mean position is zero."""
 
     @abc.abstractmethod
     def stepped(self, variable: int, step: complex) -> Naming:
-        """Return the names where a design variable is larger by a step."""
+        """Return the naming with a design variable increased by a step, real or complex."""
 
     @abc.abstractmethod
     def motions_in_words(self, q: Array, motions: Array) -> str:
-        """Say which parts move, and how, in motions without stiffness, shape (n_q, k)."""
+        """Return a text on which bodies move, and how, in motions without stiffness, (n_q, k)."""
 
     @abc.abstractmethod
     def packed(self) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Return the arrays and the JSON data that a solution file stores."""
+        """Return the arrays and the JSON data of the naming that a solution file stores."""

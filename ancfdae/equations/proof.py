@@ -1,6 +1,6 @@
-"""The comparisons behind `check_system`, at random states near the start.
+"""Comparisons made by `check_system`, at random states near the start.
 
-Each comparison takes ``add(name, error, tolerance)`` and a `Probe`.
+Each comparison takes ``add(name, error, tolerance)``, which records a finding, and a `Probe`.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from ancfdae.errors.text import listed
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import STEP, Array
 
-# Values of the arguments of members, by their names.
+# Values of arguments of system methods, by name of the argument.
 Given: TypeAlias = dict[str, Any]
 # Distance of a random state from the start, relative to its size.
 _BESIDE = 0.05
-# Instants of what takes many.
+# Number of time points for methods that take many.
 _INSTANTS = 3
 
 
 @final
 class Probe:
-    """Random states of a system, and changes of the size of the state itself.
+    """Random states of a system, and random changes of the magnitude of the state itself.
 
-    In `time` the system moves by its own size.
+    In the time `time`, s, the system moves by its own size.
     """
 
     def __init__(self, system: MechanicalSystem, rng: np.random.Generator) -> None:
@@ -56,7 +56,7 @@ class Probe:
         self.sizes = self._sizes_of_terms()
 
     def change(self) -> Motion:
-        """Return a random change of the size of the state, and of a natural time."""
+        """Return a random change with the magnitude of the state, over a natural time."""
         random = self._rng.uniform
         q, v, a = random(-1, 1, (3, self.system.n_q))
         lam = random(-1, 1, self.system.n_lam) * self._lam_size
@@ -64,9 +64,9 @@ class Probe:
         return Motion(q * self._q_sizes, v * speeds, a * speeds / self.time, lam, self.time)
 
     def one(self) -> list[Given]:
-        """Return arguments at one instant, of all orders and along two directions.
+        """Return arguments at one time, for all orders and along two directions.
 
-        State, covectors, and changes per unit of b.
+        They hold the state, adjoint vectors, and design derivatives.
         """
         m, d, T, w = self.m, self.d, self.time, self.system.weights
         rates = m.q, m.v, m.a, d.a / T
@@ -91,7 +91,7 @@ class Probe:
         ]
 
     def many(self) -> list[Given]:
-        """Return arguments at several time points, of three orders, with and without velocities."""
+        """Return arguments at several times, for three orders of motion, with and without v."""
         states = [self.m.plus(0.1 * k, self.d) for k in range(_INSTANTS)]
         given = {name: np.array([x._asdict()[name] for x in states]) for name in Motion._fields}
         changes = [self.change() for _ in range(_INSTANTS)]
@@ -111,7 +111,7 @@ class Probe:
         return Sizes(q, v, design_sizes(s), self.time, np.abs(terms).sum(axis=0), C)
 
     def _natural_sizes(self, q: Array, v: Array) -> tuple[float, float]:
-        """Time in which the system moves by its size, and multipliers of the size of Q."""
+        """Return the time, s, in which the system moves by its size, and a size of multipliers."""
         system, w = self.system, self.system.weights
         Q = system.force(0.0, q, v)
         size, pull = norm(q, w) or 1.0, norm(Q, 1 / w)
@@ -122,7 +122,7 @@ class Probe:
 
 
 def arguments(member: FunctionType, one: list[Given], many: list[Given]) -> list[list[Any]]:
-    """Return all arguments that a member takes, once each."""
+    """Return all distinct lists of arguments to check a method with, at one time or at many."""
     _, *parameters = signature(member).parameters.values()
     instants = any(p.name == "t" and p.annotation != "float" for p in parameters)
     rows: dict[tuple[Any, ...], list[Any]] = {}
@@ -145,12 +145,12 @@ Add: TypeAlias = Callable[[str, float, float], None]
 _SAME, _DIFFERENCES = 1e-10, 1e-6
 # As in ancfdae.integrators.start: the violation that a declared start may have.
 _CONSISTENT = 1e-8
-# Part of the size that an entry would have at a guess, below which it is compared with that.
+# Fraction of the magnitude expected of an entry below which it is compared with that magnitude.
 _SMALL = 1e-3
 
 
 def shapes(add: Add, p: Probe) -> None:
-    """Check names, weights, and the shapes of the values that nothing else determines."""
+    """Check names and weights of a system, and the shapes of M, Q, Phi and the start."""
     s, m = p.system, p.m
     n_q, n_lam, n_b = s.n_q, s.n_lam, s.n_b
     for name, array, size in (
@@ -172,7 +172,7 @@ def shapes(add: Add, p: Probe) -> None:
 
 
 def refusals(add: Add, p: Probe) -> None:
-    """Find members that are complex steps of values which refuse complex numbers."""
+    """Find methods, complex-step derivatives by default, whose values reject complex numbers."""
     s, one, many = p.system, p.one(), p.many()
     moved = s.with_values(s.b + 1j * STEP)
     imaginary = [_imaginary(given) for given in one]
@@ -189,10 +189,10 @@ def refusals(add: Add, p: Probe) -> None:
 
 
 def prove(add: Add, p: Probe) -> None:
-    """Compare every member with what `Derived` makes of the values, and these with each other.
+    """Compare every member with `Derived`, and the values with each other.
 
-    A formula that is overridden is also compared as it would be derived by complex steps, unless
-    the system refuses complex numbers there: it is integrated in real ones.
+    The default of an overridden method is also compared as computed by complex steps, unless the
+    system rejects complex numbers there and so is integrated in real ones.
     """
     s, one, many = p.system, p.one(), p.many()
     derived, related = Derived(s, p.time), Related(s, p.time)
@@ -206,13 +206,13 @@ def prove(add: Add, p: Probe) -> None:
         error = _largest_gap(_results(getattr(s, name), rows), expected, guess)
         add(name, error, _DIFFERENCES)
         if not np.isfinite(error):
-            return  # What has another shape fails in the formulas that follow.
+            return  # With a wrong shape the following formulas would fail.
         if value or getattr(type(s), name) is formula:
             continue
         stepped = accepted(lambda: _results(MethodType(formula, s), rows))  # noqa: B023
         if stepped is not None:
             add(f"{name}, by complex steps", _largest_gap(stepped, expected, guess), _DIFFERENCES)
-    # No formula takes complex steps of these in q.
+    # No default formula takes complex steps of these in q.
     products: dict[str, Callable[..., Array]] = {
         "mass": lambda x, q: x.mass_times(q, p.m.a),
         "constraint": lambda x, q: x.constraint(p.m.t, q),
@@ -226,7 +226,7 @@ def prove(add: Add, p: Probe) -> None:
 
 
 def start(add: Add, p: Probe) -> None:
-    """Check the start against the constraints."""
+    """Check that the start and its design derivatives satisfy the constraints."""
     s = p.system
     q, v = s.start()
     if s.traits.project_start:
@@ -235,11 +235,11 @@ def start(add: Add, p: Probe) -> None:
     rows = np.bincount(pattern.rows, values**2 / s.weights[pattern.columns], s.n_lam)
     lengths = np.sqrt(np.where(rows > 0, rows, 1.0))
     for what, phi, x in (("q", s.constraint(0.0, q), q), ("v", s.constraint(0.0, q, v), v)):
-        # A velocity that vanishes leaves nothing to compare with but the time of motion.
+        # Zero velocity is compared with the size of q over the natural time.
         size = norm(x, s.weights) or 1e-3 * norm(q, s.weights) / p.time or 1.0
         ratio = np.max(np.abs(phi) / lengths, initial=0.0) / size
         add(f"start, {what} on the constraints", ratio, _CONSISTENT)
-    # The same at neighbouring designs. A term that is nearly zero is compared with the state.
+    # The same for design derivatives. A term that is nearly zero is compared with the state.
     (q_b, v_b), b = s.start_b(), design_sizes(s)
     still = np.zeros_like(q_b)
     for what, motion, motion_b in (("q", (q,), (q_b,)), ("v", (q, v), (q_b, v_b))):
@@ -269,7 +269,7 @@ def other_values(add: Add, p: Probe) -> None:
 
 
 def declarations(add: Add, p: Probe) -> None:
-    """Check M, and what is declared constant, linear or independent."""
+    """Check that M is symmetric and positive, and the declared properties of the system."""
     s, m, d = p.system, p.m, p.d
     M, B, both = s.pattern.dense(s.mass(m.q)), s.constraint_q(m.t, m.q), np.stack([m.a, d.a], 1)
     add("mass: symmetric", relative(M - M.T, M), _SAME)
@@ -296,13 +296,13 @@ def declarations(add: Add, p: Probe) -> None:
 
 
 def relative(change: Array, size: Array) -> float:
-    """Largest change against the largest size, zero where nothing changes."""
+    """Return the largest change over the largest magnitude of an array; zero without change."""
     most = float(np.max(np.abs(change), initial=0.0))
     return most / (float(np.max(np.abs(size), initial=0.0)) or most) if most else 0.0
 
 
 def gap(claimed: Any, expected: Any, guess: Any = 0.0) -> float:
-    """Largest difference, entry by entry against its size; infinite of another shape or kind."""
+    """Return the largest relative error of `claimed` entries; infinite for wrong shape or type."""
     if claimed is None or expected is None:
         return 0.0 if claimed is expected else np.inf
     claimed = np.asarray(claimed)
@@ -315,7 +315,7 @@ def gap(claimed: Any, expected: Any, guess: Any = 0.0) -> float:
 
 
 def accepted(evaluate: Callable[[], Any]) -> Any:
-    """Return the value; None if it refuses complex numbers."""
+    """Return the value of `evaluate`, or None if it rejects complex numbers."""
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("error", np.exceptions.ComplexWarning)
@@ -325,7 +325,7 @@ def accepted(evaluate: Callable[[], Any]) -> Any:
 
 
 def _results(member: Callable[..., Any], rows: list[list[Any]]) -> list[Any]:
-    """Return all arrays that a member returns for each row of arguments; None if it omits one."""
+    """Return the arrays that a method returns for each row of arguments; None if it omits one."""
     results: list[Any] = []
     for row in rows:
         value = member(*row)
@@ -340,11 +340,11 @@ def _largest_gap(claimed: list[Any], expected: list[Any], guess: list[Any]) -> f
 
 
 def _unasked(system: MechanicalSystem) -> set[Any]:
-    """Return the members that nobody asks for, by what the system declares."""
+    """Return the methods that the integrators do not use, given the declared traits."""
     return {MechanicalSystem.mass_along} if system.traits.constant_mass else set()
 
 
 def _imaginary(given: Given) -> Given:
-    """Return the arguments with states that have an imaginary part."""
+    """Return the arguments with an imaginary part added to the states."""
     moved = {name: given[name] + 1j * STEP for name in ("q", "v", "a")}
     return {**given, **moved, "motion": tuple(x + 1j * STEP for x in given["motion"])}

@@ -1,10 +1,8 @@
-"""Saddle-point matrices of a system: right sides, what kernels take, solutions in two parts.
+"""Saddle-point matrices of a system, checked for independent constraints, and right-hand sides.
 
-Derivatives of M a + Phi_q^T lam with a and lam held, and right sides that they make up.
-
-A system and its matrices as kernels take them.
-
-Saddle-point matrices of a system, solved in their two parts; constraints must be independent.
+The matrix [[M, Phi_q^T], [Phi_q, 0]] gives (a, lam) and their derivatives. Functions named `held_`
+differentiate M a + Phi_q^T lam at fixed a and lam. `Prepared` is a system with its matrices in the
+form that kernels take.
 """
 
 from __future__ import annotations
@@ -15,15 +13,16 @@ from typing import Any, final
 import numpy as np
 import scipy
 
+from ancfdae.equations.plans import real_part
 from ancfdae.equations.system import MechanicalSystem, planned
 from ancfdae.errors.kinds import RedundantConstraintsError, SingularMatrix
-from ancfdae.kernels import ComplexModel, March, MatrixLayout, Model, real_part
+from ancfdae.kernels import ComplexModel, March, Model
 from ancfdae.numerics.arrays import Array, only
-from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.numerics.linear_solvers import Factorization, MatrixLayout, SaddlePoint
 
 
 def held_q(system: MechanicalSystem, t: float, q: Array, a: Array, lam: Array) -> Array:
-    """Values of (M a + Phi_q^T lam)_q on the system's pattern."""
+    """Return the values of (M a + Phi_q^T lam)_q at fixed a, lam on the pattern, (nnz,)."""
     constant = system.traits.constant_mass and system.traits.linear_constraints
     if constant or not (a.any() or lam.any()):
         return np.zeros(system.pattern.size)
@@ -33,7 +32,7 @@ def held_q(system: MechanicalSystem, t: float, q: Array, a: Array, lam: Array) -
 def held_total(
     system: MechanicalSystem, t: float, q: Array, a: Array, lam: Array, q_b: Array
 ) -> Array:
-    """Total derivative of M a + Phi_q^T lam with respect to the design, shape (n_q, n_b)."""
+    """Return the total design derivative of M a + Phi_q^T lam at fixed a, lam, (n_q, n_b)."""
     if not (a.any() or lam.any()):
         return np.zeros((system.n_q, system.n_b))
     partials = system.design_partials(np.array([t]), q[None], None, a[None], lam[None])
@@ -46,7 +45,7 @@ def held_total(
 def held_pull_back(
     system: MechanicalSystem, t: float, q: Array, a: Array, lam: Array, mu: Array
 ) -> Array:
-    """Return mu^T (M a + Phi_q^T lam)_b, shape (n_b,)."""
+    """Return mu^T (M a + Phi_q^T lam)_b at fixed q, a and lam, shape (n_b,)."""
     if not (a.any() or lam.any()):
         return np.zeros(system.n_b)
     none = np.zeros((1, len(lam)))
@@ -56,13 +55,15 @@ def held_pull_back(
 def held_totals(
     system: MechanicalSystem, t: float, q: Array, v: Array, x: Array
 ) -> tuple[Array, Array | None]:
-    """Total derivatives of M a + Phi_q^T lam and d^2 Phi/dt^2 with x = (a, lam) held.
+    """Return total design derivatives of M a + Phi_q^T lam and d^2 Phi/dt^2 at fixed (a, lam).
 
-    q and v are a state above its derivatives, as rows; so are the results, (n_b, n_q) and
-    (n_b, n_lam), the second None for zero. With Q_total they make the right sides
+    The rows of q and v are a state followed by its derivatives, x is (a, lam). The results are
+    rows, (n_b, n_q) and (n_b, n_lam), the second None if zero. With Q_total they are in the
+    right-hand sides of
 
     M a_b + Phi_q^T lam_b = Q_total - (M a + Phi_q^T lam)_total
-    Phi_q a_b             = -(d^2 Phi/dt^2)_total
+
+    Phi_q a_b = -(d^2 Phi/dt^2)_total
     """
     n_q, q_b = system.n_q, q[1:].T
     force = held_total(system, t, q[0], x[:n_q], x[n_q:], q_b).T
@@ -75,31 +76,32 @@ def held_totals(
 def force_total(
     system: MechanicalSystem, t: float, q: Array, v: Array, q_b: Array, v_b: Array
 ) -> Array:
-    """Total derivative of Q with respect to the design, shape (n_q, n_b)."""
+    """Return the total design derivative of Q, shape (n_q, n_b)."""
     rows = (np.concatenate([x[None], x_b.T]) for x, x_b in ((q, q_b), (v, v_b)))
     return system.force_and_total(t, *rows)[1:].T
 
 
 def velocity_side(system: MechanicalSystem, t: float, q: Array) -> Array:
-    """Return nu in Phi_q v = nu, that is -Phi_t, shape (n_lam,)."""
+    """Return nu in Phi_q v = nu, which is -Phi_t, shape (n_lam,)."""
     return -system.constraint(t, q, np.zeros_like(q))
 
 
 def acceleration_side(system: MechanicalSystem, t: float, q: Array, v: Array) -> Array:
-    """Return gamma in Phi_q a = gamma: -(Phi_q v)_q v - 2 Phi_qt v - Phi_tt."""
+    """Return gamma in Phi_q a = gamma, (n_lam,): -(Phi_q v)_q v - 2 Phi_qt v - Phi_tt."""
     return -system.constraint(t, q, v, np.zeros_like(q))
 
 
 def jerk_side(system: MechanicalSystem, t: float, q: Array, v: Array, a: Array) -> Array:
-    """Return S in Phi_q q''' = S."""
+    """Return S in Phi_q q''' = S, the third time derivative of Phi at q''' = 0, (n_lam,)."""
     return -system.constraint(t, q, v, a, np.zeros_like(q))
 
 
 @final
 class Prepared:
-    """The model of a system for states of a type, real or complex; the rules are `MarchRules`.
+    """A system with its matrices as kernels take it, for real or complex states.
 
-    `real` is the model of the real parts, which has the matrices: the same for a real type.
+    `rules` are `MarchRules`. `real` is the model of the real parts, which has the matrices; for
+    real states it is `model`.
     """
 
     real: Model
@@ -113,17 +115,17 @@ class Prepared:
         self._prepare(matrices.layout(band=False) or matrices.layout_out_of_band())
 
     def add_band(self) -> None:
-        """Prepare for matrices that are not positive definite, too."""
+        """Add a banded factorisation to the layout, for matrices not positive definite."""
         layout = self._matrices.layout(band=True)
         assert layout is not None
         self._prepare(layout)
 
     def go(self, passed: Callable[[Model, int], tuple[int, int]], done: int) -> int:
-        """Run a pass of the kernel from step `done` on; return the step that it ends before.
+        """Run a kernel from step `done` on; return the number of steps that are done afterwards.
 
-        `passed` takes the model of the real parts and a step, and returns the step that it ends
-        before and why, as `March`. The pass goes on in a band where a matrix is not positive
-        definite.
+        `passed` takes the model of the real parts and a step, and returns the step before which it
+        stopped and the reason, a `March`. If a matrix is not positive definite it is run again with
+        a banded factorisation.
         """
         done, end = passed(self.real, done)
         if end == March.INDEFINITE:
@@ -140,23 +142,23 @@ class Prepared:
             self.model = ComplexModel(self.plan, self.real, self._rules)
 
 
-# Singular-value ratio under which scaled constraint rows count as dependent; round-off leaves
-# dependent rows at 1e-16 times their number.
+# Ratio of singular values below which scaled constraint rows count as dependent; for dependent rows
+# round-off leaves 1e-16 times their number.
 _DEPENDENT = 1e-11
-# Smallest eigenvalue of B B^T, rows of unit length, that its factors still tell from zero: above it
-# the singular values are far from dependent.
+# Smallest eigenvalue of B B^T, rows of unit length, that its factors distinguish from zero: above
+# it the rows are clearly independent.
 _CLEAR = 1e-12
 _SWEEPS = 3
-# Rows that are independent with weights stay so with others within this factor of each.
+# Factor of the weights within which rows that are independent are not checked again.
 _AS_NEAR = 4.0
 
 
 def saddle_point(system: MechanicalSystem, t: float, q: Array | None = None) -> SaddlePoint:
-    """Check the constraints and return the system's saddle-point matrices.
+    """Return the saddle-point matrices of a system after checking its constraints.
 
     They are checked and scaled at q, by default the start; RedundantConstraintsError if dependent.
-    A design with the same weights and Phi_q as the design before takes over its matrices. Rows are
-    not checked again where Phi_q is the same and the last check had nearly the same weights.
+    A design with the same weights and Phi_q as the design before reuses its matrices. Rows are not
+    checked again if Phi_q is the same and the last check had nearly the same weights.
     """
     values = system.constraint_q(t, system.start()[0] if q is None else q)
     patterns, weights = (system.pattern, system.constraint_pattern), system.weights
@@ -171,25 +173,28 @@ def saddle_point(system: MechanicalSystem, t: float, q: Array | None = None) -> 
     if not near:
         refuse_redundant(system, matrices, values)
         at = weights.copy()
-    # Copies: a system of a user's own may write to its arrays.
+    # Copies, because a user-defined system may write to its arrays.
     system.pattern.checked = matrices, (patterns[1], symmetric, weights.copy(), values.copy(), at)
     return matrices
 
 
 def solve(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:
-    """Solve a saddle-point system; returns the two parts of the solution."""
+    """Return the solution (a, lam) of a saddle-point system with the right sides force and side."""
     x = factors.solve(np.concatenate([force, side]))
     return x[: len(force)], x[len(force) :]
 
 
 def solve_transposed(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:
-    """Solve with the transposed saddle-point matrix; returns the two parts of the solution."""
+    """Return the two parts of the solution with the transposed saddle-point matrix."""
     x = factors.solve_transposed(np.concatenate([force, side]))
     return x[: len(force)], x[len(force) :]
 
 
 def refuse_redundant(system: MechanicalSystem, matrices: SaddlePoint, values: Array) -> None:
-    """Find dependent rows of the scaled Phi_q, component by component of its graph."""
+    """Raise RedundantConstraintsError if rows of the scaled Phi_q are dependent.
+
+    The rows are examined component by component of their graph.
+    """
     if system.n_lam == 0 or _independent(system, matrices, values.real):
         return
     pattern = system.constraint_pattern
@@ -235,7 +240,7 @@ def refuse_redundant(system: MechanicalSystem, matrices: SaddlePoint, values: Ar
 def _independent(system: MechanicalSystem, matrices: SaddlePoint, B: Array) -> bool:
     """Whether rows are clearly independent, by inverse iteration with B W^-1 B^T.
 
-    This is the Schur complement of the saddle-point matrix of the weights W.
+    This matrix is the Schur complement of the saddle-point matrix with the weights W.
     """
     pattern, W = system.constraint_pattern, np.zeros(system.pattern.size)
     W[system.pattern.diagonal] = system.weights

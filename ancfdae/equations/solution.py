@@ -1,4 +1,4 @@
-"""Solution of a run: trajectories, sensitivities, statistics and how it ended."""
+"""The class `Solution`: trajectory of a run, design derivatives, cost, and how the run ended."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ from ancfdae.errors.text import listed, page
 from ancfdae.numerics.arrays import STEP, Array, Numbers
 from ancfdae.numerics.time_grid import TimeGrid
 
-# Controlled steps over the longest before, below which something sharp is met.
+# Size of an error-controlled step over the longest step before, below which it met an abrupt
+# change.
 _SHARP = 1 / 30
 
 
@@ -43,7 +44,7 @@ class Solution:
     Attributes
     ----------
     t : array, shape (n_t,)
-        Times; a run that failed holds what was reached.
+        Times; for a run that failed up to the time that it reached; s.
     q, v, a : array, shape (n_t, n_q)
         Coordinates, velocities and accelerations; m, m/s and m/s^2, slopes without m.
     lam : array, shape (n_t, n_lam)
@@ -54,15 +55,15 @@ class Solution:
         Names of points and joints; None for a system that is not an ANCF scene.
     sensitivities : Sensitivities or None
     degree : int
-        Degree of the polynomials between the instants: 1 for HHT, whose instants are its steps,
-        3 for Radau, which adds the stages of its steps, 8 for Gauss-Lobatto instants
+        Degree of the polynomials between time points: 1 for HHT, whose time points are its steps,
+        3 for Radau, which adds the stages of its steps, 8 for Gauss-Lobatto points
         (`ancfdae.numerics.time_grid`).
     estimated_errors : ErrorEstimates or None
-        Of HHT only; the others keep their tolerances to themselves. The text of a solution says
-        where controlled steps fell to a thirtieth, behind which errors may grow beyond these.
+        Estimated discretisation errors, for HHT only. The printed solution says where
+        error-controlled steps fell to a thirtieth; after that errors may exceed the estimates.
     control : tuple of float
-        State of the step control at the last instant, with which ``simulate(..., after=solution)``
-        goes on; empty where the steps were known beforehand.
+        State of the step control at the last time, with which ``simulate(..., after=solution)``
+        continues; empty for prescribed steps.
     """
 
     t: Array
@@ -81,52 +82,53 @@ class Solution:
     # -- named access --------------------------------------------------------------------------
 
     def nodes(self, beam: str) -> Array:
-        """Node vectors of a beam, shape (n_t, n_nodes, n_s, d): position, then slopes.
+        """Return the node vectors of a beam, (n_t, n_nodes, n_s, d): position, m, then slopes.
 
-        At a kink (`Beam`) the slope along the beam is that of the element which begins there, and
-        `ends` has both. Of a rigid body those of its one frame, (n_t, 1, d + 1, d).
+        At a kink (`Beam`) the slope along the beam is the slope of the element which begins there;
+        `ends` has both. A rigid body has one frame, shape (n_t, 1, d + 1, d).
         """
         return self._known_naming().nodes(self.q, beam)
 
     def ends(self, beam: str) -> Array:
-        """Node vectors of both ends of every element of a beam, shape (n_t, n, 2, n_s, d)."""
+        """Return the node vectors of both ends of every element of a beam, (n_t, n, 2, n_s, d)."""
         return self._known_naming().ends(self.q, beam)
 
     def position(self, point: Any) -> Array:
-        """Position of a point such as ``rod.at(0.3)``, shape (n_t, d), in m.
+        """Return the position of a point such as ``rod.at(0.3)``, shape (n_t, d); m.
 
-        UnknownNameError if the scene has no body of that name, InvalidInputError if z is not
-        zero in the plane.
+        UnknownNameError if the scene has no body of that name, InvalidInputError if z is not zero
+        in the plane.
         """
         return self._known_naming().position(self.q, point)
 
     def velocity(self, point: Any) -> Array:
-        """Velocity of a material point, shape (n_t, d); as `position`."""
+        """Return the velocity of a material point, shape (n_t, d), m/s; errors as in `position`."""
         return self._known_naming().position(self.v, point)
 
     def acceleration(self, point: Any) -> Array:
-        """Acceleration of a material point, shape (n_t, d); as `position`."""
+        """Return the acceleration of a material point, (n_t, d), m/s^2; errors as in `position`."""
         return self._known_naming().position(self.a, point)
 
     def slope(self, point: Any, along: int = 0) -> Array:
-        """Slope vector along a section axis (0: along the beam), shape (n_t, d)."""
+        """Return the slope vector of a point along a section axis (0: along the beam), (n_t, d)."""
         return self._known_naming().slope(self.q, point, along)
 
     def multipliers(self, joint: str) -> Array:
-        """Multipliers of a joint, shape (n_t, rows), in the order of its equations."""
+        """Return the multipliers of a joint, shape (n_t, rows), in the order of its equations."""
         return self.lam[:, self._known_naming().rows(joint)]
 
     def reaction(self, joint: str) -> Array:
-        """Force of a joint on its first point, shape (n_t, d): minus its multipliers (eq. 1).
+        """Return the force of a joint on its first point, (n_t, d), N: minus multipliers (eq. 1).
 
-        InvalidInputError if its first equations do not equate positions; see `multipliers`.
+        InvalidInputError if the first equations of the joint do not equate positions; see
+        `multipliers`.
         """
         return self._known_naming().reaction(self.lam, joint)
 
     def derivative(
         self, of: Callable[[Solution], Array] | object, variable: str | None = None
     ) -> Array:
-        """Return the design derivative of a position, or of anything computed from a solution.
+        """Return the design derivative of a position, or of any function of a solution.
 
         Parameters
         ----------
@@ -141,7 +143,7 @@ class Solution:
         Returns
         -------
         array, shape (n_t, ...) for one variable, (n_t, ..., n_b) for all
-            Of a position m per unit of the variable.
+            Design derivative; for a position in m per unit of the variable.
 
         Raises
         ------
@@ -177,12 +179,12 @@ class Solution:
         return np.stack(columns, axis=-1)
 
     def at(self, times: Numbers) -> Solution:
-        """Return the solution at asked times, by interpolation of the order of its integrator.
+        """Return the solution interpolated at given times, with the order of its integrator.
 
-        The times increase and lie within the run; s. Between the steps of HHT: coordinates by the
-        cubic through q and v at both ends, velocities by that through v and a, accelerations and
-        multipliers linearly. Of Radau and of Gauss-Lobatto instants: the polynomial of a panel.
-        Design derivatives are interpolated in the same way. `statistics`, `outcome` and
+        The times increase and lie within the run; s. Between the steps of HHT coordinates follow
+        the cubic through q and v at both ends, velocities the cubic through v and a; accelerations
+        and multipliers are linear. For Radau and Gauss-Lobatto points the polynomial of a panel is
+        used. Design derivatives are interpolated in the same way. `statistics`, `outcome` and
         `estimated_errors` are copied from the run unchanged.
         """
         asked = np.atleast_1d(require_array("times", times))
@@ -223,7 +225,7 @@ class Solution:
         ]
 
     def design_index(self, name: str) -> int:
-        """Return the place of a design variable in the last axis of every sensitivity."""
+        """Return the index of a design variable in the last axis of every sensitivity."""
         names = self._known_sensitivities().names
         require_text("design variable", name)
         if name not in names:
@@ -253,9 +255,10 @@ class Solution:
     def with_sensitivities(
         self, sensitivities: Sensitivities, verdict: Verdict, seconds: float
     ) -> Solution:
-        """Return the solution with derivatives, cut to the instants that have them.
+        """Return the solution with derivatives, cut to the times that have derivatives.
 
-        The verdict is how the pass ended, its seconds are added to the statistics.
+        `verdict` is how the computation of derivatives ended; its `seconds` are added to the
+        statistics.
         """
         rows, outcome = len(sensitivities.q_b), self.outcome
         steps = (rows - 1) // self.degree
@@ -267,7 +270,7 @@ class Solution:
         return replace(full, **kept, outcome=outcome, sensitivities=sensitivities, control=control)
 
     def with_pass(self, factorisations: int, seconds: float) -> Solution:
-        """Return the solution with the cost of a pass over it added to the statistics."""
+        """Return the solution with the cost of a further pass of the integrator in `statistics`."""
         statistics = replace(
             self.statistics,
             factorisations=self.statistics.factorisations + factorisations,
@@ -281,8 +284,8 @@ class Solution:
         """Write the solution to one file, complete or not at all; return its path.
 
         A name that ends in ``.h5`` or ``.hdf5`` makes a compressed HDF5 file, which needs h5py
-        (``pip install "ancfdae[hdf5]"``); any other an archive of NumPy, as ``.npz`` is.
-        docs/results.md has the format; `load_solution` reads it.
+        (``pip install "ancfdae[hdf5]"``); any other name an archive of NumPy (``.npz``).
+        docs/results.md describes the format; `load_solution` reads the file.
         """
         from ancfdae.equations import solution_file
 
@@ -299,17 +302,17 @@ class Solution:
         Parameters
         ----------
         columns : mapping of str to array, shape (n_t,)
-            More columns: ``{"tip [m]": observe(position(rod.at_end, 1), solution)}``.
+            Further columns: ``{"tip [m]": observe(position(rod.at_end, 1), solution)}``.
         derivatives : bool
-            Whether each coordinate has a column for each design variable beside it,
+            Whether to add columns for the derivatives of each coordinate in each design variable,
             ``d rod[2].y/d rod.height``.
 
         Raises
         ------
         MissingPackageError
-            Without pandas, which ``pip install "ancfdae[pandas]"`` brings.
+            If pandas is not installed (``pip install "ancfdae[pandas]"``).
         InvalidInputError
-            If a column is not as long as the solution or has the name of another, or there are no
+            If a column is not as long as the solution or repeats a name, or there are no
             derivatives.
         """
         require_flag("to_dataframe, derivatives", derivatives)
@@ -334,7 +337,7 @@ class Solution:
 
     @property
     def _doubt(self) -> str:
-        """A remark on errors that grow behind a place at which controlled steps fell."""
+        """Remark in the printed text on a time at which error-controlled steps fell sharply."""
         h = np.diff(self.t)[:-1]
         if not self.control or not h.size:
             return ""
@@ -348,7 +351,7 @@ class Solution:
         )
 
     def _repr_html_(self) -> str:
-        """Return the size of the run as notebooks show it, and how it ended."""
+        """Return the sizes of the run and how it ended, as HTML for notebooks."""
         spans = (("instants", self.t), ("coordinates", self.q[0]), ("multipliers", self.lam[0]))
         rows = [("Solution", ""), *((name, str(len(x))) for name, x in spans)]
         rows += [("from, to", f"{self.t[0]:.6g} s, {self.t[-1]:.6g} s")]

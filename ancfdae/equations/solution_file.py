@@ -1,6 +1,6 @@
-"""File of a solution: arrays by name, and everything else as JSON; docs/results.md, no pickle.
+"""File format of a solution: arrays by name, other data as JSON; no pickle (docs/results.md).
 
-A NumPy archive, or HDF5 where the name says so.
+The file is a NumPy archive, or HDF5 if its name ends in ``.h5`` or ``.hdf5``.
 """
 
 from __future__ import annotations
@@ -25,34 +25,34 @@ from ancfdae.errors.kinds import InvalidInputError, MissingPackageError
 from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.numerics.arrays import Array
 
-# What is written, and the oldest version that is read: it lacks `control`, and 6 kinks of bodies;
-# before 8 all beams have the element of the layout; before 10 HDF5 files do not end with a
-# checksum, and format 9 holds one that is not read.
+# Name and version written, and oldest version read. Version 5 lacks `control`, 6 the kinks of
+# bodies; before 8 all beams have the element of the layout; before 10 HDF5 files do not end with a
+# checksum, and version 9 holds one that is not read.
 _FORMAT, _VERSION, _OLDEST = "ancfdae solution", 10, 5
 _CHECKED, _CHECKSUM = 10, "checksum"
-# What stands behind the HDF5 file before the CRC-32 of all its bytes; HDF5 does not read that far.
+# Bytes after the HDF5 data, before the CRC-32 of all its bytes; HDF5 does not read that far.
 _SEAL, _CRC, _PIECE = b"\x89CRC-32\n", 4, 1 << 20
 _HDF5, _SIGNATURE = (".h5", ".hdf5"), b"\x89HDF\r\n\x1a\n"
-# Arrays that are not worth compressing; bytes.
+# Largest size of arrays that are not compressed; bytes.
 _SMALL = 10_000
 _STATES = ("t", "q", "v", "a", "lam")
 _DERIVATIVES = ("values", "q_b", "v_b", "a_b", "lam_b")
 T = TypeVar("T")
-#: Makes names of what `Naming.packed` gave.
+#: Function that restores a `Naming` from the arrays and JSON data of `Naming.packed`.
 Unpack: TypeAlias = Callable[[Mapping[str, Array], Mapping[str, Any]], Naming]
 # Exceptions raised on reading a file that is damaged or not an archive.
 _DAMAGED = (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError, AttributeError, MemoryError)
 
 
 def write(path: Path, fields: Mapping[str, Any]) -> Path:
-    """Write the fields of a solution to a file, whole or not at all."""
+    """Write the fields of a solution to a file, completely or not at all; return its path."""
     return store(path, *packed(fields))
 
 
 def store(path: Path, arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> Path:
-    """Write arrays and everything else to a file, whole or not at all."""
+    """Write arrays and JSON data to a file, completely or not at all; return its path."""
     for name, array in arrays.items():
-        # `np.savez` would pickle them, and knows how to refuse from NumPy 2.1 on only.
+        # `np.savez` would pickle objects, and can reject them from NumPy 2.1 on only.
         if array.dtype.hasobject:
             rule, got = "must hold numbers to be saved", f"objects in {name}"
             raise InvalidInputError("solution", rule, got, "Give arrays of numbers.")
@@ -65,7 +65,7 @@ def store(path: Path, arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> P
 
 
 def read(path: Path, naming: Unpack) -> dict[str, Any]:
-    """Return the fields of a solution; InvalidInputError unless `write` wrote the file."""
+    """Return the fields of a solution in a file; InvalidInputError unless `write` wrote it."""
 
     def fields(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str, Any]:
         _require_version(path, meta["format"])
@@ -77,7 +77,7 @@ def read(path: Path, naming: Unpack) -> dict[str, Any]:
 def restored(
     path: Path, writer: str, of: Callable[[Mapping[str, Array], Mapping[str, Any]], T]
 ) -> T:
-    """Return the result of `of` for arrays and JSON data of a file, which `writer` wrote."""
+    """Return `of(arrays, meta)` for the arrays and JSON data of a file that `writer` wrote."""
     try:
         # Opened here, because np.load does not close a file that is not a complete archive.
         with path.open("rb") as raw:
@@ -110,8 +110,8 @@ def _get_npz(raw: IO[bytes]) -> tuple[dict[str, Array], str]:
 
 
 def _put_hdf5(file: IO[bytes], arrays: Mapping[str, Array], text: str) -> None:
-    # HDF5 (1.14 and 2.0) ends the process where a write fails, be it to a path or to a Python file:
-    # it is given memory, which takes the size of the compressed file.
+    # HDF5 (1.14 and 2.0) ends the process if writing fails, to a path as to a Python file: it
+    # writes to memory, which takes the size of the compressed file.
     memory = io.BytesIO()
     with _h5py().File(memory, "w") as hdf5:
         for name, array in arrays.items():
@@ -127,16 +127,16 @@ def _get_hdf5(raw: IO[bytes]) -> tuple[dict[str, Array], str]:
     with _h5py().File(raw, "r") as hdf5:
         text = hdf5["meta"].asstr()[()]
         arrays = {name: hdf5[name][()] for name in hdf5 if name not in ("meta", _CHECKSUM)}
-    # Files of earlier formats have none.
+    # Files of earlier versions have no checksum.
     if not sealed and int(json.loads(text)["format"].rpartition(" ")[2]) >= _CHECKED:
         raise ValueError("no checksum")
     return arrays, text
 
 
 def _require_unharmed(raw: IO[bytes]) -> bool:
-    """Return whether a file ends with a checksum; raise ValueError if other bytes have it.
+    """Return whether a file ends with a checksum; ValueError if it does not match.
 
-    Asked before HDF5 reads the file: HDF5 2.0 may end the process where its tables are damaged.
+    This is checked before HDF5 reads the file: HDF5 2.0 may end the process on damaged tables.
     """
     left, total = raw.seek(0, io.SEEK_END) - len(_SEAL) - _CRC, 0
     raw.seek(max(left, 0))
@@ -164,7 +164,7 @@ def _h5py() -> Any:
 
 
 def _require_version(path: Path, told: str) -> None:
-    """Refuse what this version does not read."""
+    """Raise an error for a format or version that this package does not read."""
     kind, _, version = told.rpartition(" ")
     if kind != _FORMAT:
         raise ValueError(f"the format {told!r}")
@@ -179,7 +179,7 @@ def _require_version(path: Path, told: str) -> None:
 
 
 def packed(fields: Mapping[str, Any]) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Return the arrays of a solution, and everything else."""
+    """Return the arrays of a solution by name, and its other data for JSON."""
     arrays = {name: fields[name] for name in _STATES}
     naming, sensitivities, errors = (
         fields[x] for x in ("naming", "sensitivities", "estimated_errors")
@@ -204,7 +204,7 @@ def packed(fields: Mapping[str, Any]) -> tuple[dict[str, Array], dict[str, Any]]
 
 
 def _require_shapes(arrays: Mapping[str, Array], names: Sequence[str] | None) -> None:
-    """Raise ValueError unless arrays are numbers, states and derivatives of shapes that fit."""
+    """Raise ValueError unless states and derivatives are numbers of consistent shapes."""
     n_t, n_q, n_lam = (np.atleast_1d(arrays[name]).shape[-1] for name in ("t", "q", "lam"))
     shapes = {"t": (n_t,), "q": (n_t, n_q), "v": (n_t, n_q), "a": (n_t, n_q), "lam": (n_t, n_lam)}
     if names is not None:
@@ -226,7 +226,7 @@ def _require_shapes(arrays: Mapping[str, Array], names: Sequence[str] | None) ->
 def unpacked(
     arrays: Mapping[str, Array], meta: Mapping[str, Any], naming: Unpack
 ) -> dict[str, Any]:
-    """Return the fields of a solution from what `packed` returned."""
+    """Return the fields of a solution from the arrays and data that `packed` made."""
     outcome = {**meta["outcome"], "verdict": Verdict[meta["outcome"]["verdict"]]}
     _require_shapes(arrays, meta["names"])
     fields: dict[str, Any] = {name: arrays[name] for name in _STATES} | {

@@ -1,4 +1,4 @@
-"""Parts of a solution beside the trajectory: cost, errors, design derivatives; pandas tables."""
+"""Parts of a solution: cost, error estimates, design derivatives; and its pandas tables."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ancfdae.numerics.arrays import Array
 
 
 def pandas() -> Any:
-    """Return the package, or raise MissingPackageError, which says how to install it."""
+    """Return the module pandas; MissingPackageError, with a remedy, if it is not installed."""
     return require_package("to_dataframe", "pandas", "pandas")
 
 
@@ -27,7 +27,7 @@ def states_table(
     variables: tuple[str, ...],
     more: object,
 ) -> Any:
-    """Return coordinates, their derivatives and further columns over time."""
+    """Return coordinates, their derivatives and further columns over time as a DataFrame."""
     table = dict(zip(names, q.T, strict=True))
     if q_b is not None:
         for i, variable in enumerate(variables):
@@ -47,7 +47,7 @@ def states_table(
 
 
 def sensitivity_table(q_b: Array, names: tuple[str, ...]) -> Any:
-    """Return derivatives of all coordinates at all instants, a column for each variable."""
+    """Return q_b as a DataFrame: rows (time index, coordinate), one column per variable."""
     pd, (n_t, n_q, n_b) = pandas(), q_b.shape
     rows = pd.MultiIndex.from_product(
         [np.arange(n_t), np.arange(n_q)], names=["instant", "coordinate"]
@@ -67,14 +67,14 @@ class Statistics:
     iterations, residuals : int
         Newton iterations, and evaluations of the residual.
     factorisations : int
-        Those of passes for derivatives too, except the backward pass of IDAS, which does not report
-        them.
+        Matrix factorisations, including passes for derivatives, except the backward pass of IDAS,
+        which does not report them.
     round_off_steps : int
-        Steps of `HHT` whose Newton corrections stopped shrinking, at round-off, above the
-        tolerance, or that round-off of the elastic forces leaves less than seven digits.
+        Steps of `HHT` whose Newton corrections stopped decreasing, by round-off, above the
+        tolerance, or in which round-off of the elastic forces leaves less than seven digits.
     continued : int
-        Steps of `HHT` that Newton's method solved by way of shorter ones only, which the counts
-        above contain.
+        Steps of `HHT` that Newton's method solved only through shorter steps, which the counts
+        above include.
     wall_seconds : float
         Elapsed time of the run; s.
     """
@@ -94,23 +94,23 @@ class Statistics:
 class ErrorEstimates:
     """Discretisation errors that a run of HHT-I3 estimates itself (docs/theory/13-errors.md).
 
-    The errors of all steps are added up. On undamped scenes the sums are within a factor of
-    three (motion) and ten (derivatives) of the true errors, also where steps do not resolve the
-    waves; strong damping, which removes errors again, makes them too large
-    (docs/reports/error-bars). Where the motion amplifies errors, or steps pass over a kink or a
-    pulse, they are too small: of 130 runs of ``HHT(rtol)`` on random scenes 126 erred by at most
+    The errors of all steps are summed. On undamped scenes the sums are within a factor of three
+    (motion) and ten (derivatives) of the true errors, also if steps do not resolve the elastic
+    waves; with strong damping, which removes errors again, they are too large
+    (docs/reports/error-bars). If the motion amplifies errors, or steps pass over a kink or a pulse
+    of a law, they are too small: of 130 runs of ``HHT(rtol)`` on random scenes 126 erred by at most
     three times the estimate, the others by 3.5, 18, 22 and 670 times. For an objective and its
     gradient see `error_bars`.
 
     Attributes
     ----------
     motion : float
-        Of q, relative to the size of the coordinates.
+        Estimated error of q, relative to the norm of the coordinates.
     derivatives : tuple of float, or None
-        Of q_b, one per design variable, relative to the largest size of that derivative in the
-        run; nan where the variable has no influence above round-off, inf where the motion grew
-        without bound. None unless it was differentiated by `DirectDifferentiation` or
-        `AdaptiveSteps(sensitivities=True)`.
+        Estimated errors of q_b, one per design variable, relative to the largest norm of that
+        derivative in the run; nan if the variable has no influence above round-off, inf if the
+        motion grew without bound. None unless the run was differentiated by
+        `DirectDifferentiation` or `AdaptiveSteps(sensitivities=True)`.
     """
 
     motion: float
@@ -128,7 +128,7 @@ class ErrorEstimates:
 @final
 @dataclass(frozen=True, repr=False)
 class Sensitivities(PrintedTable):
-    """Total derivatives of a trajectory with respect to design variables of given values.
+    """Total design derivatives of a trajectory, with names and values of the design variables.
 
     q_b, v_b, a_b have the shape (n_t, n_q, n_b), lam_b (n_t, n_lam, n_b).
     """
@@ -141,9 +141,9 @@ class Sensitivities(PrintedTable):
     lam_b: Array
 
     def to_dataframe(self) -> Any:
-        """Return q_b as a table of pandas: rows (instant, coordinate), a column per variable.
+        """Return q_b as a pandas table: rows (time index, coordinate), a column per variable.
 
-        With names and times in `Solution.to_dataframe`.
+        `Solution.to_dataframe` gives tables with names and times.
         """
         return sensitivity_table(self.q_b, self.names)
 

@@ -1,35 +1,33 @@
-"""States with their rates as one value that can be moved, and directions of them.
-
-The protocol of a mechanical system, by which integrators and sensitivity methods see it.
+"""The base class of mechanical systems, by which integrators and sensitivity methods see them.
 
     M(q, b) a + Phi_q^T lam = Q(t, q, v, b),     Phi(t, q, b) = 0          (eq. 1)
 
-Q holds every force that is not inertia M a: for a mass that depends on q, the quadratic velocity
-forces too. The residual of the first equation is f = M a + Phi_q^T lam - Q.
+Q holds every force except the inertia M a; for a mass that depends on q it includes the quadratic
+velocity forces. The residual of the first equation is f = M a + Phi_q^T lam - Q.
 
-Integrators and sensitivity methods see this and nothing else: no beam, no joint. Matrices are
+Integrators and sensitivity methods use nothing else: they know no beam and no joint. Matrices are
 value vectors on a fixed `SparsityPattern`, by default ``matrix.ravel()``.
 
-**Eleven values** say what a system is; they are abstract here, and written in operations that
-accept complex numbers: its sizes, its design variables, `start`, `mass`, `force` and `constraint`,
-and their first derivatives, `force_along` of the force and `constraint_q` of the constraints. A
-mass that depends on q adds `mass_along`. **Everything else** follows by complex steps and products;
-it may be overridden where a formula is faster, and `check_system` compares each override with the
-default that it replaces.
+**Eleven values** define a system; they are abstract here, and implemented in operations that accept
+complex numbers: its sizes, its design variables, `start`, `mass`, `force` and `constraint`, and the
+first derivatives `force_along` of the force and `constraint_q` of the constraints. A mass that
+depends on q adds `mass_along`. **Everything else** follows by complex steps and products; it may be
+overridden where a formula is faster, and `check_system` compares each override with the default
+that it replaces.
 
-**Rates.** The constraints and their time derivatives are one object by order: a motion
-(q, v, a, j) is given up to the rates needed, and the order is the number of rates in it.
+**Rates.** The constraints and their time derivatives are one method by order: a motion (q, v, a, j)
+is given up to the rates needed, and the order is the number of rates in it.
 
     constraint(t, q, v, a)       d^2 Phi/dt^2 = Phi_q a + (Phi_q v)_q v + 2 Phi_qt v + Phi_tt
     constraint_q(t, q, v, a)     d^2 Phi_q/dt^2 = (d^2 Phi/dt^2)_q
 
-With the last rate zero, minus this is the right side of Phi_q v = nu, Phi_q a = gamma and
+With the last rate zero, minus these are the right-hand sides of Phi_q v = nu, Phi_q a = gamma and
 Phi_q j = S.
 
 **Names.** A partial ``X_y`` has shape X.shape + y.shape. A ``_total`` is the derivative with
 respect to the design variables along given derivatives of its arguments, F_x x_b + F_b. A
-``pull_back`` is its transpose: from covectors to the design. ``_along`` is the derivative along a
-direction of (t, q, v).
+``pull_back`` is its transpose: from adjoint vectors to the design. ``_along`` is the derivative
+along a direction of (t, q, v).
 """
 
 from __future__ import annotations
@@ -45,19 +43,20 @@ import numpy as np
 from ancfdae.equations.complex_steps import ComplexSteps
 from ancfdae.equations.contact_record import ContactRecord
 from ancfdae.equations.naming import Naming
+from ancfdae.equations.plans import CalledPlan, ListPlan, Plan
 from ancfdae.errors.checks import require_array, require_finite, require_flag
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import listed
-from ancfdae.kernels import CalledPlan, ListPlan, OperationList, Plan
+from ancfdae.kernels import OperationList
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import SparsityPattern
 
-#: (q, v, a, lam) at an instant, or their derivatives.
+#: (q, v, a, lam) at one time, or their derivatives.
 States: TypeAlias = tuple[Array, Array, Array, Array]
 
 
 class StateDirection(NamedTuple):
-    """A direction of (t, q, v): along the motion it is (1, v, a)."""
+    """A direction (dt, dq, dv) in the space of (t, q, v); along the motion it is (1, v, a)."""
 
     t: float
     q: Array
@@ -65,7 +64,7 @@ class StateDirection(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """State at one instant, or a change of it; what a quantity does not depend on is zero."""
+    """State (q, v, a, lam, t) at one time, or a change of it."""
 
     q: Array
     v: Array
@@ -74,14 +73,14 @@ class Motion(NamedTuple):
     t: Any
 
     def plus(self, e: float, change: Motion) -> Motion:
-        """Add e times a change."""
+        """Return the state plus e times a change."""
         return Motion(*(x + e * dx for x, dx in zip(self, change, strict=True)))
 
 
 @final
 @dataclass(frozen=True)
 class SystemProperties:
-    """Properties of a system that hold in every state, such as a constant mass.
+    """Properties that a system declares to hold in every state, such as a constant mass.
 
     Attributes
     ----------
@@ -90,23 +89,23 @@ class SystemProperties:
     linear_constraints : bool
         Whether Phi is linear in q, so that (Phi_q^T lam)_q vanishes.
     constant_constraints : bool
-        Whether they are linear and the same at all times and designs: all that remains is Phi_q q
-        minus a constant, with one Phi_q.
+        Whether Phi is linear in q and the same at all times and designs: Phi_q q minus a constant,
+        with one Phi_q.
     velocity_forces : bool
         Whether Q depends on v.
     symmetric : bool
         Whether M, (M a)_q, Q_q, Q_v and (Phi_q^T lam)_q are symmetric matrices; systems of
         equations then take less than half the time.
     project_start : bool
-        Whether an inconsistent start is projected instead of refused.
+        Whether an inconsistent start is projected instead of raising an error.
     routed : bool
-        Whether a guide or a rope may leave its route, so that runs ask `off_route`.
+        Whether a guide or a rope may leave its route, so that runs call `off_route`.
     force_round_off : float
-        Size of the round-off in Q in the norm sqrt(sum Q^2 / weights); zero where it is that of
-        Q itself. Newton corrections that stop shrinking at this size are accepted.
+        Round-off of Q in the norm sqrt(sum Q^2 / weights); zero if it is the round-off of Q
+        itself. Newton corrections that stop decreasing at this level are accepted.
     breakpoints : tuple of float
-        Instants between which forces and constraints are smooth in time: a step under error control
-        ends at each, for it could miss what lies between two of them.
+        Times between which forces and constraints are smooth functions of time; s. A step under
+        error control ends at each of them, because it could miss a pulse between two of them.
     """
 
     constant_mass: bool = False
@@ -130,10 +129,10 @@ class SystemProperties:
 @final
 @dataclass(frozen=True)
 class Linearisation:
-    """Jacobians at k instants as values on the system's patterns, shape (k, nnz).
+    """Jacobians of f and Phi at k times as values on the system's patterns, shape (k, nnz).
 
-    f = M a + Phi_q^T lam - Q with a held. M has one row if the mass is constant; f_v is None where
-    f does not depend on v.
+    f = M a + Phi_q^T lam - Q at fixed a. M has one row if the mass is constant; f_v is None if f
+    does not depend on v.
     """
 
     M: Array
@@ -145,7 +144,7 @@ class Linearisation:
 @final
 @dataclass(frozen=True)
 class DesignPartials:
-    """Partials with respect to the design at k instants with everything else held.
+    """Partials of f and Phi with respect to the design at k times, at fixed t, q, v, a and lam.
 
     f_b = (M a)_b + (Phi_q^T lam)_b - Q_b has the shape (k, n_q, n_b), Phi_b (k, n_lam, n_b).
     """
@@ -168,26 +167,26 @@ class MechanicalSystem(ComplexSteps):
 
     n_lam: int
     traits: SystemProperties = SystemProperties()
-    #: Distance from the origin of places that forces refer to beside the coordinates; zero if none.
+    #: Largest distance from the origin of positions, besides q, that forces refer to; zero if none.
     reach: float = 0.0
     #: Names of points and joints for the solution; None for a system without any.
     naming: Naming | None = None
-    #: Components of a vector: every `vector_size` coordinates in a row are those of one vector in
-    #: space, and tolerances of a step are relative to its size. One where there are no vectors.
+    #: Components of a vector: `vector_size` consecutive coordinates form one vector in space, and
+    #: tolerances of a step are relative to its norm. One if coordinates form no vectors.
     vector_size: int = 1
     #: Names of functions of a user that are called with complex numbers at each evaluation.
     called_functions: tuple[str, ...] = ()
-    #: Names of controllers with states: velocities of coordinates that do not stand still in an
-    #: equilibrium.
+    #: Names of controllers with states; states are velocities of coordinates, which are not zero in
+    #: an equilibrium.
     controllers: tuple[str, ...] = ()
-    #: Whether joints may close loops; a tree of bodies keeps the rank of Phi_q.
+    #: Whether joints may close loops; in a tree of bodies Phi_q keeps its rank.
     has_loops: bool = True
-    #: Whether Phi is known not to depend on time by itself.
+    #: Whether Phi is known not to depend explicitly on time.
     scleronomic: bool = False
 
     @cached_property
     def pattern(self) -> SparsityPattern:
-        """Pattern (n_q x n_q) of M, (M a)_q, Q_q, Q_v, (Phi_q^T lam)_q together; here full."""
+        """Pattern of M, (M a)_q, Q_q, Q_v and (Phi_q^T lam)_q, (n_q, n_q); full by default."""
         return SparsityPattern.full((self.n_q, self.n_q))
 
     @cached_property
@@ -197,20 +196,20 @@ class MechanicalSystem(ComplexSteps):
 
     @cached_property
     def weights(self) -> Array:
-        """Positive weights, (n_q,), of coordinates in norms and scalings; here M's diagonal."""
+        """Positive weights, (n_q,), of coordinates in norms and scalings; the diagonal of M."""
         M = self.mass(self.start()[0])
         return np.asarray(M[self.pattern.diagonal].real, dtype=float)
 
     @cached_property
     def constraint_names(self) -> tuple[str, ...]:
-        """For every constraint the joint it belongs to, length n_lam; numbers by default."""
+        """Name of the joint of every constraint equation, n_lam in all; numbers by default."""
         return tuple(f"constraint {i}" for i in range(1, self.n_lam + 1))
 
     # -- the values that a system is -------------------------------------------------------------
 
     @abc.abstractmethod
     def start(self) -> tuple[Array, Array]:
-        """Return the start (q, v) as declared, before any projection; shapes (n_q,)."""
+        """Return q and v at t = 0 as declared, before any projection; shape (n_q,) each."""
 
     @abc.abstractmethod
     def mass(self, q: Array) -> Array:
@@ -218,7 +217,7 @@ class MechanicalSystem(ComplexSteps):
 
     @abc.abstractmethod
     def force(self, t: float, q: Array, v: Array) -> Array:
-        """Return the force Q(t, q, v), shape (n_q,): all forces but M a; to be written."""
+        """Return the force Q(t, q, v), shape (n_q,): all forces except the inertia M a."""
 
     @abc.abstractmethod
     def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
@@ -226,15 +225,15 @@ class MechanicalSystem(ComplexSteps):
 
     @abc.abstractmethod
     def constraint(self, t: float, *motion: Array) -> Array:
-        """Return Phi or its time derivative of order 1 to 3, shape (n_lam,)."""
+        """Return Phi, (n_lam,), or its time derivative of the order of the rates in `motion`."""
 
     @abc.abstractmethod
     def constraint_q(self, t: float, *motion: Array) -> Array:
-        """Return Phi_q or its time derivative on `constraint_pattern`; write orders 0 and 1.
+        """Return the values of Phi_q, or of its time derivative, on `constraint_pattern`, (nnz,).
 
-        It is also the partial of `constraint` of the same order with respect to q. Of orders 2 and
-        3, which the transposed start asks for, this is a complex step of `constraint`: call it by
-        ``super()`` where there is no formula.
+        It is also the partial in q of `constraint` of the same order. Implement orders 0 and 1.
+        Orders 2 and 3, needed at the start of the adjoint, are here a complex step of `constraint`:
+        call it by ``super()`` if there is no formula.
         """
         pattern = self.constraint_pattern
         return self._by_coordinate(
@@ -242,7 +241,7 @@ class MechanicalSystem(ComplexSteps):
         )
 
     def mass_along(self, q: Array, dq: Array) -> Array:
-        """Return the values of M_q dq on `pattern`; to be written unless the mass is constant."""
+        """Return the values of M_q dq on `pattern`; implement it unless the mass is constant."""
         if self.traits.constant_mass:
             return np.zeros(self.pattern.size)
         raise InvalidInputError(
@@ -255,84 +254,86 @@ class MechanicalSystem(ComplexSteps):
     # -- values with their derivatives -------------------------------------------------------------
 
     def start_b(self) -> tuple[Array, Array]:
-        """Return the partials of `start`; shapes (n_q, n_b)."""
+        """Return the design derivatives of `start`, shape (n_q, n_b) each."""
         both = self._total(lambda system: np.concatenate(system.start()))
         return both[: self.n_q], both[self.n_q :]
 
     def start_pull_back(self, on_q: Array, on_v: Array) -> Array:
-        """Return q_b^T on_q + v_b^T on_v for the partials of `start`, shape (n_b,)."""
+        """Return q_b^T on_q + v_b^T on_v for the design derivatives of `start`, shape (n_b,)."""
         q_b, v_b = self.start_b()
         return np.asarray(on_q @ q_b + on_v @ v_b)
 
     def mass_times(self, q: Array, x: Array) -> Array:
-        """Return M x for a vector or for columns."""
+        """Return M x for a vector x, shape (n_q,), or for columns, (n_q, k)."""
         return self.pattern.dot(self.mass(q), x)
 
     def force_and_total(self, t: float, q_rows: Array, v_rows: Array) -> Array:
-        """Return Q and its total derivatives with respect to the design as rows, (1 + n_b, n_q).
+        """Return Q and its total design derivatives as rows, shape (1 + n_b, n_q).
 
-        The first rows of both are the state, the others its derivatives; shape (1 + n_b, n_q).
+        The first rows of `q_rows` and `v_rows` are the state, the others its design derivatives.
         """
         states = ((x[0], x[1:].T) for x in (q_rows, v_rows))
         total = self._total(lambda system, q, v: system.force(t, q, v), *states)
         return np.concatenate([self.force(t, q_rows[0], v_rows[0])[None], total.T])
 
     def require_derivatives_at(self, t: float, q: Array, v: Array) -> None:
-        """Refuse functions that are called and lack a derivative at a state; by default none."""
+        """Raise InvalidInputError if the user's functions lack a derivative at a state.
+
+        By default it raises nothing.
+        """
 
     def breakpoints(self, t_end: float) -> tuple[float, ...]:
-        """Return the times, in s, at which steps under error control end in a run to `t_end`.
+        """Return the times, s, at which error-controlled steps must end in a run to `t_end`.
 
         By default the breakpoints of `traits`.
         """
         return self.traits.breakpoints
 
     def over_time(self, t: Array) -> Array:
-        """Return forces and constraints at times t, shape (k, n), with the start's state held.
+        """Return forces and constraints at times t in the state of the start, shape (k, n).
 
-        They show how Q and Phi depend on time by itself: changes that are too fast for the steps of
-        a run are found by comparing neighbouring times. By default Q and Phi at the start.
+        They show how Q and Phi depend explicitly on time: changes that are too fast for the steps
+        of a run are found by comparing neighbouring times.
         """
         q, v = self.start()
         return np.array([np.append(self.force(s, q, v), self.constraint(s, q)) for s in t.tolist()])
 
     def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
-        """Return the loads in Q that turn with the motion, at rest, and their Jacobian in q.
+        """Return the follower loads in Q at zero velocity, and their Jacobian in q.
 
-        Shape (n_q,), and values on `pattern`. A search for an equilibrium scales them; other loads
-        it takes as they are at its start.
+        Shape (n_q,), and values on `pattern`. A search for equilibrium scales them with the load
+        factor; other loads are scaled as they are at the start.
         """
         return np.zeros_like(q), np.zeros(self.pattern.size)
 
     def stress_force(self, q: Array) -> Array:
-        """Return the part of Q at rest that vanishes where bodies are free of stress.
+        """Return the part of Q at zero velocity that vanishes in stress-free bodies, (n_q,).
 
-        Coordinates are rounded, and stiff bodies turn that into forces. By default zero: a system
-        of equations has no bodies.
+        It measures round-off: rounded coordinates of stiff bodies cause forces. By default zero.
         """
         return np.zeros_like(q)
 
     def centred(self, q: Array) -> Array:
-        """Return coordinates that do not change if the system stands elsewhere, of its size.
+        """Return coordinates that do not depend on where the system is in space, (n_q,).
 
-        Here q: a system of equations has no place.
+        By default q itself.
         """
         return q
 
     def folded(self, q: Array) -> str:
-        """Say which parts are folded at q, in a way that no body can be; empty where none is.
+        """Return a text naming bodies folded at q, as no body can be; empty if there are none.
 
-        Forces may be in balance there nevertheless. A search for an equilibrium does not accept
-        such a state.
+        Forces may be in equilibrium there nevertheless. A search for equilibrium rejects such a
+        state.
         """
         return ""
 
     def coarse(self, q: Array) -> dict[str, float]:
-        """Return the parts whose mesh is too coarse at q, with the error of the energy of each."""
+        """Return, by name, the bodies whose mesh is too coarse at q, with its relative error."""
         return {}
 
     def strained(self, q: Array) -> dict[str, float]:
-        """Return the parts strained beyond the range of their laws at q, each with its strain."""
+        """Return, by name, the bodies strained beyond the validity of their laws, with strains."""
         return {}
 
     def contacts(self) -> ContactRecord | None:
@@ -340,38 +341,40 @@ class MechanicalSystem(ComplexSteps):
         return None
 
     def constraints_q(self, t: Array, *motion: Array) -> Array:
-        """Return the values of `constraint_q` at k time points, (k, nnz), from rows, (k, n_q)."""
+        """Return the values of `constraint_q` at k times, (k, nnz), for rows of the motion."""
         return np.array([self.constraint_q(*x) for x in zip(t.tolist(), *motion, strict=True)])
 
     def constraint_total(
         self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None
     ) -> Array:
-        """Return the total derivative of `constraint` with respect to the design, (n_lam, n_b).
+        """Return the total design derivative of `constraint`, shape (n_lam, n_b).
 
-        Along the derivatives of the motion, (n_q, n_b) each; without them the motion is held.
+        `motion_b` holds the derivatives of the motion, (n_q, n_b) each; if None the motion is
+        fixed.
         """
         if motion_b is None:
             return self._total(lambda system: system.constraint(t, *motion))
         pairs = zip(motion, motion_b, strict=True)
         return self._total(lambda system, *x: system.constraint(t, *x), *pairs)
 
-    # -- prescribed turns --------------------------------------------------------------------------
+    # -- prescribed angles -------------------------------------------------------------------------
 
     def off_root(self, t: Array, q: Array) -> tuple[int, str] | None:
-        """Return the first of k instants at which a constraint holds at a wrong root, and its name.
+        """Return the first of k times at which a constraint holds at a wrong root, and its name.
 
         The equation of a prescribed angle holds half a turn off as well. t has the shape (k,), q
-        (k, n_q). None if all roots are right; by default, of constraints with one root.
+        (k, n_q). None if all roots are right, as by default.
         """
         return None
 
     def mirrored(self, q: Array) -> tuple[int, str] | None:
-        """Return the index of the first mirrored, folded or crushed state, and what is, in words.
+        """Return the index of the first mirrored, folded or crushed state, and a message.
 
-        q has the shape (k, n_q). A body is mirrored where its orientation differs from that in the
-        first state, folded where it is bent back on itself, and crushed where its law gives way.
-        Steps may end there, for the strain energy is finite, but no motion leads there. The words
-        begin with a verb and end with a remedy. None if no state is, and by default.
+        q has the shape (k, n_q). A body is mirrored if its orientation differs from the first
+        state, folded if it is bent back on itself, and crushed if its force decreases with
+        compression. Steps may lead there, because the strain energy is finite, but no motion does.
+        The message begins with a verb and ends with a remedy. None if all states are intact, as by
+        default.
         """
         return None
 
@@ -383,15 +386,15 @@ class MechanicalSystem(ComplexSteps):
         return None
 
     def turn_rate(self, t: Array) -> Array:
-        """Return the largest rate at which constraints prescribe an angle, (k,); rad/s."""
+        """Return the largest rate at which constraints prescribe an angle at t, (k,); rad/s."""
         return np.zeros(len(t))
 
     # -- the residual f = M a + Phi_q^T lam - Q ----------------------------------------------------
 
     def linearise(self, t: Array, q: Array, v: Array | None, a: Array, lam: Array) -> Linearisation:
-        """Return the Jacobians of f and Phi at k instants; states are rows (k, n).
+        """Return the Jacobians of f and Phi at k times; states are rows, (k, n).
 
-        If v is None the force Q is left out: they are those of M a + Phi_q^T lam and Phi.
+        If v is None the force Q is left out: the Jacobians are those of M a + Phi_q^T lam and Phi.
         """
         traits, instants = self.traits, list(_instants(t, q, v, a, lam))
         M = np.array([self.mass(x) for x in (q[:1] if traits.constant_mass else q)])
@@ -405,9 +408,9 @@ class MechanicalSystem(ComplexSteps):
     def design_partials(
         self, t: Array, q: Array, v: Array | None, a: Array, lam: Array
     ) -> DesignPartials:
-        """Return the partials of f and Phi with respect to the design at k instants.
+        """Return the partials of f and Phi with respect to the design at k times.
 
-        If v is None the force Q is left out: they are those of M a + Phi_q^T lam and Phi.
+        If v is None the force Q is left out: the partials are those of M a + Phi_q^T lam and Phi.
         """
         f_b, Phi_b = [], []
         for s, states in _instants(t, q, v, a, lam):
@@ -421,10 +424,10 @@ class MechanicalSystem(ComplexSteps):
         states: tuple[Array, Array | None, Array, Array],
         covectors: tuple[Array, Array],
     ) -> Array:
-        """Return the sum over k instants of f_b^T mu + Phi_b^T zeta, shape (n_b,).
+        """Return the sum over k times of f_b^T mu + Phi_b^T zeta, shape (n_b,).
 
-        The states are (q, v, a, lam) and the covectors (mu, zeta), arrays with k rows; v as in
-        `design_partials`.
+        The `states` are (q, v, a, lam) and the adjoint vectors `covectors` (mu, zeta), arrays with
+        k rows; v may be None as in `design_partials`.
         """
         partials = self.design_partials(t, *states)
         mu, zeta = covectors
@@ -439,9 +442,10 @@ class MechanicalSystem(ComplexSteps):
         states_b: States,
         direction_b: tuple[Array, Array],
     ) -> Array:
-        """Return the total derivative of `residual_along` with respect to the design, (n_q, n_b).
+        """Return the total design derivative of `residual_along`, shape (n_q, n_b).
 
-        Along derivatives of (q, v, a, lam), and of q and v of the direction, (n, n_b) each.
+        `states_b` are the derivatives of (q, v, a, lam), `direction_b` those of q and v of the
+        direction, (n, n_b) each.
         """
 
         def value(system: MechanicalSystem, *x: Array) -> Array:
@@ -483,25 +487,25 @@ class MechanicalSystem(ComplexSteps):
 
 
 class PlannedSystem(MechanicalSystem):
-    """A system that a kernel can march by itself."""
+    """A system that a kernel can integrate by itself, from arrays."""
 
     @property
     @abc.abstractmethod
     def plan(self) -> Plan | None:
-        """Arrays of the system for kernels; None where kernels call its functions instead."""
+        """Arrays of the system for kernels; None if kernels must call its functions instead."""
 
 
 class ListedSystem(MechanicalSystem):
-    """A system whose accelerations a kernel finds by itself, from lists of operations."""
+    """A system that a kernel can integrate by itself, from lists of operations."""
 
     @abc.abstractmethod
     def index_1(self, derivatives: bool) -> tuple[OperationList, ...]:
-        """Return the lists of `kernels/index_1.h`, with or without lists of design derivatives."""
+        """Return the operation lists of `kernels/index_1.h`, with or without derivatives."""
 
     @property
     @abc.abstractmethod
     def list_plan(self) -> ListPlan:
-        """The lists that a kernel integrates."""
+        """Operation lists with which a kernel evaluates the equations of motion in a time step."""
 
 
 def require_no_controllers(where: str, system: MechanicalSystem, repair: str) -> None:
@@ -512,16 +516,16 @@ def require_no_controllers(where: str, system: MechanicalSystem, repair: str) ->
 
 
 class LaterSystem(MechanicalSystem):
-    """A system from a later time on, which a kernel marches by the plan of the system itself."""
+    """A system that starts at a later time, with the shifted plan of the original system."""
 
     @property
     @abc.abstractmethod
     def later_plan(self) -> Plan | ListPlan | CalledPlan:
-        """The plan with its time shifted; its own functions where there is no other plan."""
+        """Plan of the system with its time shifted; a plan of its functions if it has no other."""
 
 
 def planned(system: MechanicalSystem) -> Plan | ListPlan | CalledPlan:
-    """Return the system as kernels take it: arrays, lists of operations, or functions to call."""
+    """Return the plan of a system for kernels: arrays, lists of operations, or functions."""
     if isinstance(system, LaterSystem):
         return system.later_plan
     if isinstance(system, ListedSystem):
@@ -531,7 +535,7 @@ def planned(system: MechanicalSystem) -> Plan | ListPlan | CalledPlan:
 
 
 def called_plan(system: MechanicalSystem) -> CalledPlan:
-    """Return a system by its functions; they run with the GIL while a kernel takes steps."""
+    """Return the plan of a system by its functions, which run with the GIL in a kernel."""
 
     def tangents(t: float, *states: Array) -> tuple[Array, Array | None]:
         local = system.linearise(np.array([t]), *(x[None] for x in states))
@@ -547,20 +551,20 @@ def called_plan(system: MechanicalSystem) -> CalledPlan:
 def residual(
     system: MechanicalSystem, t: float, q: Array, v: Array | None, a: Array, lam: Array
 ) -> Array:
-    """Return f = M a + Phi_q^T lam - Q, shape (n_q,); without v, f + Q."""
+    """Return f = M a + Phi_q^T lam - Q, shape (n_q,); without the force Q if v is None."""
     value = system.mass_times(q, a) + reaction(system, t, q, lam)
     return value if v is None else value - system.force(t, q, v)
 
 
 def reaction(system: MechanicalSystem, t: float, q: Array, lam: Array) -> Array:
-    """Return Phi_q^T lam, shape (n_q,)."""
+    """Return Phi_q^T lam, minus the generalised forces of the constraints, shape (n_q,)."""
     return system.constraint_pattern.dot_transposed(system.constraint_q(t, q), lam)
 
 
 def residual_along(
     system: MechanicalSystem, t: float, states: States, direction: StateDirection
 ) -> Array:
-    """Return the derivative of f along a direction of (t, q, v) with a and lam held, (n_q,)."""
+    """Return the derivative of f along a direction of (t, q, v) at fixed a and lam, (n_q,)."""
     q, v, a, lam = states
     moved = system.constraint_pattern.dot_transposed(
         constraint_q_along(system, t, q, direction), lam
@@ -574,9 +578,9 @@ def residual_along(
 def constraint_q_along(
     system: MechanicalSystem, t: float, q: Array, direction: StateDirection
 ) -> Array:
-    """Return the derivative of Phi_q along a direction on `constraint_pattern`.
+    """Return the derivative of Phi_q along a direction on `constraint_pattern`, (nnz,).
 
-    dPhi_q/dt = (Phi_q v)_q + Phi_qt is affine in v: what it is at rest belongs to time.
+    dPhi_q/dt = (Phi_q v)_q + Phi_qt is affine in v; its value at v = 0 is the part due to time.
     """
     rate = system.constraint_q(t, q, direction.q)
     if direction.t == 1:
@@ -587,6 +591,6 @@ def constraint_q_along(
 def _instants(
     t: Array, q: Array, v: Array | None, a: Array, lam: Array
 ) -> Iterator[tuple[float, tuple[Array, Array | None, Array, Array]]]:
-    """Yield time and states of one instant after the other."""
+    """Yield t and the state (q, v, a, lam) for one time after another."""
     for k, s in enumerate(t.tolist()):
         yield s, (q[k], None if v is None else v[k], a[k], lam[k])

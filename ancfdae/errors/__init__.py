@@ -1,4 +1,4 @@
-"""Errors, warnings and interruptions that calls raise or warn of."""
+"""Public names of errors, warnings and interruptions that calls of the package raise."""
 
 from ancfdae.facade import public_module
 

@@ -1,4 +1,4 @@
-"""Rules that arguments are held against."""
+"""Checks of arguments, which raise InvalidInputError with a message that names the rule."""
 
 import importlib
 import math
@@ -13,7 +13,7 @@ from ancfdae.errors.kinds import _LONGEST, InvalidInputError, MissingPackageErro
 
 
 def require_package(where: str, module: str, extra: str) -> Any:
-    """Import a module of an optional package; MissingPackageError names the extra with it."""
+    """Return an imported module of an optional package; MissingPackageError names its extra."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -26,7 +26,7 @@ def require_package(where: str, module: str, extra: str) -> Any:
 class _Named(Protocol):
     @property
     def name(self) -> str:
-        """The name by which `named` finds an object."""
+        """The name by which the function `named` finds an object in a sequence."""
 
 
 _Thing = TypeVar("_Thing", bound=_Named)
@@ -70,7 +70,7 @@ def require_text(where: str, value: object) -> None:
 
 
 def require_path(where: str, value: object) -> Path:
-    """Return `value` as a path; refuse a folder, and values other than strings and paths."""
+    """Return `value` as a path; raise InvalidInputError for folders and other types of value."""
     require_kind(where, value, (str, os.PathLike), "Give the name of a file.")
     path = Path(value)  # type: ignore[arg-type]  # as was just seen
     if path.is_dir():
@@ -116,7 +116,7 @@ def require_function(where: str, value: object) -> None:
 
 
 def require_name(where: str, value: object) -> None:
-    """Refuse a `value` that cannot name a part in design targets like 'rod.height[2]'."""
+    """Raise InvalidInputError unless `value` can name a part in targets like 'rod.height[2]'."""
     if not isinstance(value, str) or not value or "." in value or "[" in value:
         raise InvalidInputError(
             where,
@@ -140,7 +140,7 @@ def require_sequence(
 def require_each(
     where: str, values: object, kinds: tuple[type, ...], repair: str
 ) -> tuple[Any, ...]:
-    """Return the entries of a sequence; refuse one that is of none of the classes."""
+    """Return the entries of a sequence; raise InvalidInputError for an entry of another class."""
     entries = require_sequence(where, values)
     for entry in entries:
         require_kind(where, entry, kinds, repair)
@@ -163,7 +163,7 @@ def require_finite(where: str, value: object, repair: str = "") -> None:
         raise InvalidInputError(where, "must be a finite real number", _shown(value), repair)
 
 
-# Whole numbers up to this one are floats, too.
+# Largest integer up to which all integers are exact as floats.
 _LARGEST = 2**53
 
 
@@ -184,14 +184,14 @@ def require_positive(where: str, value: float) -> None:
 
 
 def require_not_negative(where: str, value: object, repair: str = "") -> None:
-    """Raise InvalidInputError unless `value` is a finite number from zero on."""
+    """Raise InvalidInputError unless `value` is a finite number of at least zero."""
     require_finite(where, value)
     if value < 0:  # type: ignore[operator]
         raise InvalidInputError(where, "must not be negative", value, repair)
 
 
 def require_vector(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -> None:
-    """Raise InvalidInputError for anything but finite numbers, as many as one of `sizes`."""
+    """Raise InvalidInputError unless `value` has finite components, one of `sizes` in number."""
     allowed = " or ".join(str(size) for size in sizes)
     rule = f"must have {allowed} components"
     components = require_sequence(where, value, rule, "")
@@ -202,7 +202,7 @@ def require_vector(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -
 
 
 def require_direction(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -> None:
-    """Refuse anything but a vector, as in `require_vector`, that is not zero."""
+    """Raise InvalidInputError unless `value` is a vector, as in `require_vector`, and not zero."""
     require_vector(where, value, sizes)
     if not any(value):  # type: ignore[arg-type]  # a sequence, as was just seen
         raise InvalidInputError(where, "must be a direction, a vector that is not zero", value)
@@ -211,7 +211,7 @@ def require_direction(where: str, value: object, sizes: tuple[int, ...] = (2, 3)
 def require_axial(where: str, value: object, dimension: int | None = None) -> None:
     """Raise InvalidInputError unless `value` is a number (plane) or has three components (space).
 
-    If the dimension is given, only the form that belongs to it is accepted.
+    If the dimension is given, only the form for it is accepted.
     """
     is_number = np.ndim(value) == 0  # type: ignore[arg-type]
     if dimension is not None and is_number != (dimension == 2):

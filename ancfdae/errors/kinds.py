@@ -1,6 +1,6 @@
-"""Errors of the project's own kind: raised before anything is integrated.
+"""Exceptions and warnings of the package. Invalid input is reported before any integration.
 
-They read ``where: rule; got value. Repair.``
+Messages of InvalidInputError read ``where: rule; got value. Repair.``
 """
 
 import pickle
@@ -14,11 +14,11 @@ _LONGEST = 100
 class AncfdaeError(Exception):
     """Base class of all errors raised by this package.
 
-    All of them pickle, so that they arrive from worker processes.
+    All of them pickle, so that worker processes can pass them on.
     """
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Restore message and attributes without `__init__`, whose arguments differ."""
+        """Pickle message and attributes, without a call of `__init__`, whose arguments differ."""
         kept = {name: _sendable(value) for name, value in self.__dict__.items()}
         return _restored, (type(self), self.args), kept
 
@@ -28,7 +28,7 @@ def _restored(kind: type[AncfdaeError], args: tuple[Any, ...]) -> AncfdaeError:
 
 
 def _sendable(value: object) -> object:
-    """Return the value, or its text if it does not pickle, such as a function that was refused."""
+    """Return the value, or its text if it does not pickle, such as a rejected function."""
     try:
         pickle.dumps(value)
     except (pickle.PicklingError, AttributeError, TypeError):
@@ -38,7 +38,7 @@ def _sendable(value: object) -> object:
 
 @final
 class MissingPackageError(AncfdaeError, ImportError):
-    """An optional package that is not installed; the message says how to install it."""
+    """Raised if an optional package is not installed; the message says how to install it."""
 
 
 class InvalidInputError(AncfdaeError, ValueError):
@@ -63,7 +63,7 @@ class InvalidInputError(AncfdaeError, ValueError):
 
 @final
 class UnknownNameError(InvalidInputError):
-    """A name that nothing in the scene has; the message lists the known ones."""
+    """Raised for a name that nothing in the scene has; the message lists the known names."""
 
     def __init__(self, where: str, name: object, known: Iterable[str]) -> None:
         listed = ", ".join(sorted(known)) or "(none)"
@@ -72,17 +72,17 @@ class UnknownNameError(InvalidInputError):
 
 @final
 class RedundantConstraintsError(InvalidInputError):
-    """Constraints that are linearly dependent at the start; the message names the joints."""
+    """Raised for constraints that are linearly dependent at the start; names the joints."""
 
 
 @final
 class InconsistentStartError(InvalidInputError):
-    """A start that violates a constraint; the message names the joint and the size."""
+    """Raised for a start that violates a constraint; names the joint and the violation."""
 
 
 @final
 class SingularMatrix(AncfdaeError):
-    """A matrix that cannot be factorised; caught by integrators and turned into an outcome."""
+    """Raised if a matrix cannot be factorised; integrators turn it into an outcome."""
 
 
 @final
@@ -92,22 +92,22 @@ class StabilityWarning(UserWarning):
 
 @final
 class ManyStepsWarning(UserWarning):
-    """A run that will take many more steps than a method that suits the scene; it continues."""
+    """A run will take many more steps than a suitable method would; the run continues."""
 
 
 @final
 class CoarseMeshWarning(UserWarning):
-    """A state whose elements are too few for their bends; the message names the beams."""
+    """A state has too few elements for its curvature; the message names the beams."""
 
 
 @final
 class LargeStrainWarning(UserWarning):
-    """Fibres that are strained beyond what their elements are made for; the message names them."""
+    """Fibres are strained beyond the validity of their elements; the message names them."""
 
 
 @final
 class FailedDesignWarning(UserWarning):
-    """A design that an optimiser tried has no values; the message says why."""
+    """A design that an optimiser tried has no objective value; the message says why."""
 
 
 @final
@@ -120,9 +120,9 @@ class UnlikelyValueWarning(UserWarning):
 
 @final
 class ToleranceWarning(UserWarning):
-    """A tolerance is out of reach; the message says what was got and what more would cost."""
+    """A tolerance is out of reach; the message gives the error reached and the cost of more."""
 
 
 @final
 class NotTracedWarning(UserWarning):
-    """Formulas of a user that need numbers run in Python; the message names the line."""
+    """Formulas of a user need numbers and run in Python, slowly; the message names the line."""

@@ -1,4 +1,4 @@
-"""Outcomes of a run: what was computed stays usable."""
+"""Outcomes of runs and searches, which keep what was computed, and interruptions."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -8,7 +8,7 @@ from ancfdae.errors.kinds import AncfdaeError
 
 
 class Verdict(Enum):
-    """How a run ended; the value is the sentence that a reader sees."""
+    """The reason for which a run or search ended; the value is the sentence that a reader sees."""
 
     FINISHED = "the end time was reached"
     NO_CONVERGENCE = "the Newton iteration did not converge"
@@ -31,7 +31,7 @@ class Verdict(Enum):
 
 @final
 class PassFailed(AncfdaeError):
-    """A pass over a finished run that broke off; caught and turned into an outcome."""
+    """Raised if a forward or backward pass over a finished run fails; turned into an outcome."""
 
     def __init__(self, verdict: Verdict) -> None:
         super().__init__(verdict.value)
@@ -46,17 +46,18 @@ class RunOutcome:
     Attributes
     ----------
     verdict : Verdict
+        The reason for which the run ended.
     time : float
         Time that the run reached; s.
     step : int
+        Number of accepted steps.
     residual : float
-        Size of the last Newton correction relative to the motion, for integrators other than HHT
-        of the residual of the equations in their scales (dimensionless); zero when the run
-        finished.
+        Norm of the last Newton correction relative to the motion, for integrators other than HHT of
+        the residual of the equations in their scales (dimensionless); zero when the run finished.
     load : float or None
-        Part of the load that was reached, of a search for an equilibrium; None for a motion.
+        Load factor that a search for an equilibrium reached, dimensionless; None for a motion.
     advice : str
-        Advice, as text.
+        Hint at a remedy, as text; may be empty.
     """
 
     verdict: Verdict
@@ -86,17 +87,17 @@ class RunOutcome:
 
 @final
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C was pressed: the computation ends, and what it has computed is kept.
+    """Raised if Ctrl-C ends a computation; it holds the results computed so far.
 
-    Every call raises it, also in worker processes. It is a KeyboardInterrupt, so that
-    ``except Exception`` lets it pass.
+    Every call raises it, also in worker processes. It is a KeyboardInterrupt, so that ``except
+    Exception`` lets it pass.
 
     Attributes
     ----------
     result : object
-        What was computed up to there, of the kind that the call returns: a `Solution` (of
-        gradients the run), an `Equilibrium`, a `Sweep` or a `WorkPrecision`. In an interactive
-        session it is ``sys.last_value.result``.
+        The results so far, of the kind that the call returns: a `Solution` (for gradients the run),
+        an `Equilibrium`, a `Sweep` or a `WorkPrecision`. In an interactive session it is
+        ``sys.last_value.result``.
     """
 
     def __init__(self, result: Any, how: str) -> None:
@@ -104,14 +105,14 @@ class Interrupted(KeyboardInterrupt):
         self.result = result
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Make it anew from result and text."""
+        """Pickle the exception by its result and text, the arguments of `__init__`."""
         return Interrupted, (self.result, str(self))
 
 
 class _Ended(Protocol):
     @property
     def outcome(self) -> Any:
-        """`RunOutcome`, or one of a search."""
+        """The outcome of a run or of a search for an equilibrium."""
 
 
 _Result = TypeVar("_Result", bound=_Ended)

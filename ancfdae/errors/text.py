@@ -1,4 +1,4 @@
-"""Plain text for readers: shortened lists, aligned columns."""
+"""Plain text and HTML for readers: shortened lists, tables with aligned columns."""
 
 import abc
 import html
@@ -13,7 +13,7 @@ TableText: TypeAlias = tuple[str, Sequence[Sequence[str]], str]
 
 
 class PrintedTable(abc.ABC):
-    """A result that prints as a table between two texts, and shows as one in a notebook."""
+    """A result that prints as a table between two texts, and as an HTML table in a notebook."""
 
     @abc.abstractmethod
     def _printed(self) -> TableText:
@@ -21,17 +21,17 @@ class PrintedTable(abc.ABC):
 
     @final
     def __repr__(self) -> str:
-        """Return the table as plain text."""
+        """Return the result as a table in plain text."""
         return plain(*self._printed())
 
     @final
     def _repr_html_(self) -> str:
-        """Return the same as notebooks show it."""
+        """Return the result as a table in HTML, for notebooks."""
         return page(*self._printed())
 
 
 def plain(head: str, rows: Sequence[Sequence[str]], tail: str = "") -> str:
-    """Return a table as lines of text between two texts; see `columns`."""
+    """Return a table as lines of text between the texts `head` and `tail`; see `columns`."""
     return "\n".join(text for text in (head, columns(rows), tail) if text)
 
 
@@ -43,9 +43,9 @@ def listed(words: Iterable[object]) -> str:
 
 
 def columns(rows: Sequence[Sequence[str]], shorten: bool = True) -> str:
-    """Return rows of cells, all of one length, as lines, cells of a column below each other.
+    """Return rows of cells, all of one length, as text with aligned columns.
 
-    Shortened, the titles and the first twelve rows are shown, with the number of those left out,
+    If shortened, the titles and the first twelve rows are shown, with the number of omitted rows,
     which is never one.
     """
     shown = rows[: _SHOWN + 1] if shorten and len(rows) > _SHOWN + 2 else rows
@@ -60,10 +60,10 @@ def columns(rows: Sequence[Sequence[str]], shorten: bool = True) -> str:
 
 
 def page(head: str, rows: Sequence[Sequence[str]], tail: str = "") -> str:
-    """Return a table in HTML, as notebooks show it, between two texts.
+    """Return a table in HTML, for notebooks, between the texts `head` and `tail`.
 
-    The first row has the titles; of the others those are shown that `columns` shows. No rows make
-    no table.
+    The first row has the titles; rows are omitted as in `columns`. If there are no rows, only the
+    texts are returned.
     """
     shown = rows[: _SHOWN + 1] if len(rows) > _SHOWN + 2 else rows
     cells = "".join(

@@ -1,4 +1,4 @@
-"""Answers to names that the package does not have: the call or page that serves, or near names."""
+"""Messages for names that the package does not have: the call or page to use, or similar names."""
 
 import difflib
 
@@ -48,7 +48,7 @@ _OPTIMISE = (
 )
 _PLOT = "ancfdae.plotting has the calls history, animate, snapshots and write_vtk."
 
-# Names in lower case without underscores, as people know them from other programs.
+# Names from other programs, in lower case without underscores, with the answer to them.
 _ANSWERS = {
     **dict.fromkeys(("cable", "string", "ancfcable", "ancfcable2d", "wire"), _CABLE),
     **dict.fromkeys(
@@ -101,11 +101,11 @@ _ANSWERS = {
     ),
     "displacement": "A displacement is position(point, axis) less its value at the start.",
 }
-# Similarity of names from which one is offered, and how many at most.
+# Least similarity of a name that is suggested, and most suggestions.
 _NEAR, _MOST = 0.6, 3
 
 
-# Names of versions before 0.1, with their names of today.
+# Names from before version 0.1, with the present names.
 _RENAMED = {
     "AdjointError": "AdjointErrorEstimate",
     "AtRest": "EquilibriumStart",
@@ -187,7 +187,7 @@ _RENAMED = {
 def answer(name: str, module: str) -> str:
     """Return the message for a name that a public module does not have.
 
-    It says where the name is now, which call or page serves instead, or near names.
+    It gives the present place of the name, or the call or page to use instead, or similar names.
     """
     text = f"{module} has no name {name!r}."
     homes = public_names()

@@ -1,1 +1,1 @@
-"""Events: phases of smooth motion between impacts, switches and the end of a run."""
+"""Runs with events: phases of smooth motion between impacts, switches and the end of a run."""

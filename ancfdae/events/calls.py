@@ -1,10 +1,10 @@
-"""Runs with events as the calls of a user make them: values, derivatives, gradients."""
+"""Calls of a user with events: solutions, their derivatives, and gradients."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -14,22 +14,23 @@ from ancfdae.equations.complex_steps import at_values
 from ancfdae.equations.event_solution import EventRecord, EventSolution, at_held_times
 from ancfdae.errors.checks import require_flag, require_kind, require_positive
 from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
+from ancfdae.events.adjoint import PhaseAdjoint, states_in
 from ancfdae.events.derivatives import (
     PhaseDerivatives,
     differentiated,
-    pulled_back,
     require_one_time,
 )
 from ancfdae.events.kinds import Event, Impact, Mode, ModeSystem, require_events
 from ancfdae.events.objectives import (
+    FollowedObjective,
     PhasePartials,
     PhaseStates,
-    partials_of,
     require_reductions,
     value_of,
 )
 from ancfdae.events.perturbed import at_complex
-from ancfdae.events.run import Beginning, Jump, PhasedRun, PhaseMarch
+from ancfdae.events.phases import Beginning, Jump, Phase, PhasedRun
+from ancfdae.events.run import PhaseMarch
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.step_control import PrescribedSteps
 from ancfdae.integrators.stepped import SteppedIntegrator
@@ -37,10 +38,9 @@ from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
-from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
+from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation, size_of
 from ancfdae.sensitivity.method import GradientMethod, Run
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables.observable import States
 from ancfdae.sensitivity.perturbation import ComplexStep, FiniteDifference, Perturbation
 
 # Name of the mode in which every run begins.
@@ -52,9 +52,9 @@ END = "t_end"
 @final
 @dataclass(frozen=True)
 class EventRun:
-    """A run with events to be made, of modes that have been assembled; it begins in the first.
+    """Instructions for a run with events: assembled modes, end time, s, and integrator.
 
-    If `free_end` is true the end time is the last design variable.
+    It begins in the first mode. If `free_end` is true the end time is the last design variable.
     """
 
     modes: Mapping[str, ModeSystem]
@@ -74,7 +74,7 @@ class EventRun:
         progress: bool,
         free_end: bool = False,
     ) -> EventRun:
-        """Check and assemble the arguments of a call."""
+        """Return the run after checking the arguments of a call and assembling its modes."""
         require_positive("t_end", t_end)
         require_flag("progress", progress)
         require_kind("integrator", integrator, (Integrator,), "For example HHT(step=0.01).")
@@ -99,27 +99,34 @@ class EventRun:
 
     @property
     def system(self) -> MechanicalSystem:
-        """The system that the run begins with."""
+        """The system of the mode in which the run begins."""
         return self.modes[_OWN].system
 
     @property
     def b(self) -> Array:
-        """Design values, and the end time where it is one of them, (n_b,)."""
+        """Design values, (n_b,), followed by the end time if it is a design variable."""
         return np.append(self.system.b, self.t_end) if self.free_end else self.system.b
 
     @property
     def design_names(self) -> tuple[str, ...]:
-        """Names of the design variables, and of the end time where it is one of them."""
+        """Names of the design variables, with "t_end" last if the end time is one of them."""
         return (*self.system.design_names, *((END,) if self.free_end else ()))
 
     @in_one_thread
-    def phased(self, begins: Beginning | None = None) -> PhasedRun:
-        """Integrate all phases, from the start or from where an earlier run ended."""
-        march = PhaseMarch(self.modes, self.t_end, self.integrator)
+    def phased(
+        self,
+        begins: Beginning | None = None,
+        thin: Callable[[Phase], Phase] | None = None,
+    ) -> PhasedRun:
+        """Integrate all phases, from the start or from where an earlier run ended.
+
+        The run keeps what `thin` returns of each phase.
+        """
+        march = PhaseMarch(self.modes, self.t_end, self.integrator, thin)
         return march.run(self.modes[_OWN], self.progress, begins)
 
     def at(self, b: Array) -> EventRun:
-        """Return the same run at other design values."""
+        """Return the same run with events at other design values b, shape (n_b,)."""
         t_end = float(b[-1]) if self.free_end else self.t_end
         require_positive(END, t_end)
         own = b[: self.system.n_b]
@@ -137,18 +144,21 @@ class EventRun:
 
     @in_one_thread
     def gradients(
-        self, run: PhasedRun, objectives: Sequence[Objective], method: GradientMethod
-    ) -> list[tuple[float, Array]]:
-        """Return values and gradients of objectives of a finished run."""
+        self, objectives: Sequence[Objective], method: GradientMethod
+    ) -> tuple[PhasedRun, list[tuple[float, Array]]]:
+        """Integrate; return the run, and values and gradients of objectives if it is finished."""
         require_reductions(objectives)
+        if isinstance(method, Adjoint):
+            return self._adjoint(objectives, method)
+        run = self.phased()
+        if not run.outcome.success:
+            return run, []
         if isinstance(method, DirectDifferentiation):
-            return self._direct(run, objectives)
-        if isinstance(method, Adjoint | ComplexStep):
-            require_one_time(run)
-        if isinstance(method, Adjoint) and method.memory is None:
-            return self._adjoint(run, objectives)
+            return run, self._direct(run, objectives)
         if isinstance(method, ComplexStep | FiniteDifference):
-            return self._perturbed(run, objectives, method)
+            if isinstance(method, ComplexStep):
+                require_one_time(run, run.phases)
+            return run, self._perturbed(run, objectives, method)
         raise InvalidInputError(
             "method",
             "must be one that differentiates runs with events",
@@ -158,9 +168,11 @@ class EventRun:
 
     def _direct(self, run: PhasedRun, objectives: Sequence[Objective]) -> list[tuple[float, Array]]:
         done, phases = differentiated(run)
-        results = []
+        states, results = states_of(done), []
         for objective in objectives:
-            value, partials = partials_of(objective, states_of(done))
+            followed = FollowedObjective.along(objective, states)
+            value = followed.close()
+            partials = [followed.partials(k, phase) for k, phase in enumerate(states)]
             pairs = zip(partials, phases, strict=True)
             slopes = np.sum([_total(p, x) for p, x in pairs], axis=0)
             in_end = partials[-1].along(phases[-1].in_duration) if self.free_end else 0.0
@@ -168,21 +180,23 @@ class EventRun:
         return results
 
     def _with_end(self, slopes: Array, in_end: float) -> Array:
-        """Return a gradient, (n_b,), with the derivative in the end time if that is a variable."""
+        """Append the derivative in the end time, if that is variable, to a gradient, (n_b,)."""
         return np.append(slopes, in_end) if self.free_end else slopes
 
     def _adjoint(
-        self, run: PhasedRun, objectives: Sequence[Objective]
-    ) -> list[tuple[float, Array]]:
+        self, objectives: Sequence[Objective], method: Adjoint
+    ) -> tuple[PhasedRun, list[tuple[float, Array]]]:
         if not isinstance(self.integrator, SteppedIntegrator):
             rule = "needs HHT or Radau with events, or with t_end in the design"
             repair = "Take one of them, or DirectDifferentiation()."
             raise InvalidInputError("Adjoint", rule, repr(self.integrator), repair)
-        results = []
-        for objective in objectives:
-            value, partials = partials_of(objective, states_of(run))
-            results.append((value, self._with_end(*pulled_back(run, partials))))
-        return results
+        memory = np.inf if method.memory is None else size_of(method.memory)
+        adjoint = PhaseAdjoint(objectives, memory)
+        run = self.phased(thin=adjoint.leave)
+        if not run.outcome.success:
+            return run, []
+        found = adjoint.gradients(run)
+        return run, [(value, self._with_end(slopes, in_end)) for value, slopes, in_end in found]
 
     def _perturbed(
         self, run: PhasedRun, objectives: Sequence[Objective], method: Perturbation
@@ -212,16 +226,11 @@ class EventRun:
 
 def states_of(run: PhasedRun) -> list[PhaseStates]:
     """Return the states of all phases of a run."""
-    found = []
-    for phase in run.phases:
-        x = phase.run
-        states = States(phase.times, x.q, x.v, x.lam, x.degree)
-        found.append(PhaseStates(phase.mode.system, states, phase.t_0, phase.duration))
-    return found
+    return [states_in(phase) for phase in run.phases]
 
 
 def solution(run: PhasedRun, derivatives: Sequence[PhaseDerivatives] = ()) -> EventSolution:
-    """Return the solution of a run as a user sees it."""
+    """Return the solution of a run as users get it, with derivatives of its phases if given."""
     phases, records = [], []
     if run.before is not None:
         records += _records(run.before, 0.0, None)
@@ -239,27 +248,33 @@ def solution(run: PhasedRun, derivatives: Sequence[PhaseDerivatives] = ()) -> Ev
 
 
 def _records(jump: Jump, time: float, known: PhaseDerivatives | None) -> list[EventRecord]:
-    """Return the records of all events that happen at one time."""
+    """Return the event records of all events that happen at one time."""
     records, pushing, time_b = [], set[Event](), None if known is None else known.t_b[-1]
     for k, strike in enumerate(jump.strikes):
         found, name = strike.struck.after.impulses.real, jump.mode.name
         slopes_b = None if known is None else known.strikes_b[k]
         for impact, normal, along in strike.struck.impulses():
             pushing.add(impact)
-            places = normal, along
-            P, T = (None if x is None else float(found[x]) for x in places)
+            P, T = float(found[normal]), _in_directions(found, along)
             if slopes_b is None:
                 records.append(EventRecord(impact.name, time, name, P, sliding_impulse=T))
                 continue
-            P_b, T_b = (None if x is None else slopes_b[1][x] for x in places)
+            P_b, T_b = slopes_b[1][normal], _in_directions(slopes_b[1], along)
             records.append(EventRecord(impact.name, time, name, P, slopes_b[0], P_b, T, T_b))
     others = [x for x in jump.events if x not in pushing]
     records += [EventRecord(x.name, time, jump.mode.name, None, time_b) for x in others]
     return records
 
 
+def _in_directions(found: Array, places: list[int]) -> Any:
+    """Return the entries of friction impulses: None, of one line, or of both lines of a cone."""
+    if len(places) == 1:
+        return found[places[0]].tolist() if found.ndim == 1 else found[places[0]]
+    return found[places] if places else None
+
+
 def _total(p: PhasePartials, x: PhaseDerivatives) -> Array:
-    """Return the share of a phase in the gradient of an objective, shape (n_b,)."""
+    """Return the contribution of a phase to the gradient of an objective, (n_b,)."""
     total = p.b + p.start * x.start_b + p.duration * x.duration_b
     for rows, x_b in ((p.q, x.states.q_b), (p.v, x.states.v_b), (p.lam, x.states.lam_b)):
         if rows is not None:
@@ -278,7 +293,7 @@ def _assembled(
 def _require_mode(
     name: str, mode: ModeSystem, first: MechanicalSystem, known: Mapping[str, ModeSystem]
 ) -> None:
-    """Refuse a mode with other coordinates, or with events that lead nowhere or do not fit it."""
+    """Raise unless a mode has the coordinates, design and events that the run needs."""
     system, where = mode.system, f"modes[{name!r}]"
     ours, theirs = ((x.n_q, x.design_names) for x in (first, system))
     rule = "must have the coordinates and the design of the model that the run begins with"
@@ -298,8 +313,8 @@ def _require_mode(
             raise InvalidInputError(where, rule, got, repair)
     for event in mode.events:
         event.crossing[0].check(system)
-        if isinstance(event, Impact) and event.sliding is not None:
-            event.sliding.check(system)
+        for line in event.lines if isinstance(event, Impact) else ():
+            line.check(system)
         if event.crossing[0].remembers_any:
             rule = "must follow from one state"
             got = "one that counts turns, as slope_angle does"

@@ -1,41 +1,52 @@
-"""Impulses of contacts with Coulomb's friction: a linear complementarity problem and its branch.
+"""Impulses of contacts with Coulomb's friction: a complementarity problem and its branch.
 
-m contacts have impulses N >= 0 along their normals; k of them are rough and have impulses T along
-their lines of sliding. With the rates r of gaps and of sliding before, and the inverse mass A,
+m contacts have impulses N >= 0 along their normals. Contacts with friction also have impulses T
+along one line of sliding, or along two lines at a right angle in a plane. With r the rates of gaps
+and the sliding velocities before the impact, g' and s the same after it, and the inverse mass A,
 
     (g', s) = A (N, T) + r,   0 <= N - N_0  complementary to  g' >= 0,
-    |T| <= mu N,   T = -mu N sign(s) where s is not zero.
+    |T| <= mu N,   T = -mu N s/|s| where s is not zero.
 
-N_0 is zero, or what expansion adds to an impulse at least (Poisson's law). Lemke's method solves
-the problem in the form of D. E. Stewart and J. C. Trinkle (Int. J. Numer. Meth. Eng. 39, 1996).
-Its matrix is copositive; ties are broken by a lexicographic rule. The solution lies on a *branch*:
-which contacts push, which stick, and which slide in what direction. On a branch the equations are
-linear. They are solved once more, so that complex numbers and derivatives follow from them, too.
+N_0 is zero, or the least impulse of the expansion (Poisson's law). Lemke's method solves the
+problem of lines in the form of D. E. Stewart and J. C. Trinkle (Int. J. Numer. Meth. Eng. 39,
+1996). Its matrix is copositive; ties are broken by a lexicographic rule. Lemke's method replaces a
+cone by a pyramid; Newton's method on the cone starts from its solution (`friction_cones`).
+
+The solution lies on a *branch*: which contacts push, which stick, and which slide in what
+direction. On a branch the equations are smooth; the direction of sliding in a plane is their only
+nonlinear term. They are solved once more, so that complex numbers and derivatives follow from them,
+too.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 
+from ancfdae.events.friction_cones import Cones, on_cones
+from ancfdae.events.lemke import ROUND_OFF, solution
 from ancfdae.numerics.arrays import Array
 
-# Pivots, and differences of ratios, below this part of the largest entry are round-off.
-_ROUND_OFF = 1e-11
-# Impulses and rates below this part of the largest ones are zero on a branch, which ends there.
+# Impulses and rates below this fraction of the largest ones are zero: the branch ends there.
 _TIE = 1e-9
-# Starts of Lemke's method, whose coefficients are 1 plus fractions of multiples of a number.
-_STARTS, _SPREAD = 16, 0.6180339887498949
-# Singular values below this part of the largest one belong to impulses that move nothing.
+# Singular values below this fraction of the largest one belong to impulses that move nothing.
 _MOVES_NOTHING = 1e-12
+# Numbers of sides of the pyramids, tried in turn until Newton's method converges on the cones.
+_SIDES = (8, 12, 24, 48, 96)
+# Newton iterations for the impulses on a branch, which bring a solution to about round-off.
+_CORRECTIONS = 3
 
 
 @final
 @dataclass(frozen=True)
 class Contacts:
-    """The inverse mass A, (m + k, m + k), which contacts are rough, (k,), and their mu, (k,)."""
+    """Contacts of an impact: inverse mass A, (m + k, m + k), and contact and mu of k friction rows.
+
+    A contact that slides along a line has one row in `rough` and `friction`, (k,) each; a contact
+    that slides in a plane has two.
+    """
 
     inverse_mass: Array
     rough: Array
@@ -43,74 +54,139 @@ class Contacts:
 
     @property
     def count(self) -> int:
-        """Number m of contacts."""
+        """Number m of contacts in the impact."""
         return len(self.inverse_mass) - len(self.rough)
 
+    @property
+    def same(self) -> Array:
+        """Whether two friction rows belong to one contact, (k, k)."""
+        return self.rough[:, None] == self.rough
+
+    @property
+    def has_planes(self) -> bool:
+        """Whether a contact slides in a plane."""
+        return len(set(self.rough.tolist())) < len(self.rough)
+
+    def length(self, x: Array) -> Array:
+        """Return for each friction row the length of the vector x, (k,), of its contact, (k,)."""
+        squares = self.same @ (x * x)
+        return np.sqrt(squares)
+
     def sizes(self) -> Array:
-        """Return square roots of the inverse masses, (m + k,); 1 where no impulse acts."""
+        """Return square roots of the diagonal of A, (m + k,); 1 where an impulse moves nothing.
+
+        Both rows of a contact that slides in a plane have the larger one.
+        """
         own = np.diag(self.inverse_mass).real.copy()
-        own[own <= _ROUND_OFF**2 * np.max(own, initial=0.0)] = 1.0
+        own[self.count :] = np.max(self.same * own[self.count :], axis=1, initial=0.0)
+        own[own <= ROUND_OFF**2 * np.max(own, initial=0.0)] = 1.0
         return np.sqrt(own)
 
     def branch(self, rates: Array, least: Array) -> Branch:
-        """Return the branch of the solution from real rates r, (m + k,), and N_0, (m,).
+        """Return the branch of the solution for real rates r, (m + k,), and N_0, (m,).
 
         ArithmeticError if there is no solution.
         """
-        m, k, size = self.count, len(self.rough), self.sizes()
+        m, size = self.count, self.sizes()
         A, mu = self._scaled()
-        r = rates.real / size
-        low = least.real * size[:m]
-        r = r + A[:, :m] @ low
-        scale = float(np.max(np.abs(r), initial=0.0)) or 1.0
-        M, q = np.zeros((m + 3 * k, m + 3 * k)), np.zeros(m + 3 * k)
-        up, down, slide = m + np.arange(k), m + k + np.arange(k), m + 2 * k + np.arange(k)
-        M[:m, :m], M[:m, up], M[:m, down] = A[:m, :m], A[:m, m:], -A[:m, m:]
-        for rows, sign in ((up, 1.0), (down, -1.0)):
-            M[rows, :m], M[np.ix_(rows, up)] = sign * A[m:, :m], sign * A[m:, m:]
-            M[np.ix_(rows, down)] = -sign * A[m:, m:]
-            M[rows, slide] = 1.0
-            M[slide, rows] = -1.0
-            q[rows] = sign * r[m:]
-        M[slide, self.rough] = mu
-        q[:m], q[slide] = r[:m], mu * low[self.rough]
-        x = _solution(M, q / scale) * scale
-        N, T = x[:m] + low, x[up] - x[down]
-        loaded = N[self.rough] > _ROUND_OFF * scale
-        slides = np.where(loaded & (x[slide] > _ROUND_OFF * scale), np.sign(-T), 0.0)
-        found = np.concatenate([N, T]) / size
-        return Branch(x[:m] > _ROUND_OFF * scale, loaded & (slides == 0), slides, found)
+        r, low = rates.real / size, least.real * size[:m]
+        pushes, P, slack = self._on_pyramids(A, mu, (r, low), _SIDES[0])
+        scale = float(np.max(np.abs(r + A[:, :m] @ low), initial=0.0)) or 1.0
+        if not self.has_planes:
+            loaded = P[self.rough] > ROUND_OFF * scale
+            slides = np.where(loaded & (slack > ROUND_OFF * scale), np.sign(-P[m:]), 0.0)
+            return Branch(pushes, loaded & (slides == 0), slides, P / size)
+        for sides in _SIDES:
+            found = on_cones(Cones(A, self.rough, mu, r, low), P)
+            if found is not None:
+                return Branch(*found[:3], found[3] / size)
+            _, P, _ = self._on_pyramids(A, mu, (r, low), sides)
+        raise ArithmeticError
 
     def _scaled(self) -> tuple[Array, Array]:
-        """Return A with a unit diagonal, and mu for impulses in these units, real."""
+        """Return A scaled to a unit diagonal, and mu for impulses in these units, real."""
         size = self.sizes()
         ratio = size[self.count :] / size[self.rough]
         return self.inverse_mass.real / np.outer(size, size), self.friction.real * ratio
 
+    def _on_pyramids(
+        self, A: Array, mu: Array, given: tuple[Array, Array], sides: int
+    ) -> tuple[Array, Array, Array]:
+        """Solve the problem with pyramids for `given` r and N_0, scaled.
+
+        Return which contacts push beyond N_0, (m,), impulses N and T, (m + k,), and the sliding
+        speed of each friction row, (k,).
+        """
+        m, (r, low) = self.count, given
+        shifted = r + A[:, :m] @ low
+        scale = float(np.max(np.abs(shifted), initial=0.0)) or 1.0
+        D, of = self._directions(sides)
+        rough, first = np.unique(self.rough, return_index=True)
+        n, belongs = len(of), (of[:, None] == rough).astype(float)
+        M, q = np.zeros((m + n + len(rough),) * 2), np.zeros(m + n + len(rough))
+        along, slide = slice(m, m + n), slice(m + n, None)
+        M[:m, :m], M[:m, along] = A[:m, :m], A[:m, m:] @ D
+        M[along, :m], M[along, along] = D.T @ A[m:, :m], D.T @ A[m:, m:] @ D
+        M[along, slide], M[slide, along] = belongs, -belongs.T
+        M[np.arange(m + n, len(M)), rough] = mu[first]
+        q[:m], q[along], q[slide] = shifted[:m], D.T @ shifted[m:], mu[first] * low[rough]
+        x = solution(M, q / scale) * scale
+        slack = x[slide][np.searchsorted(rough, self.rough)]
+        return x[:m] > ROUND_OFF * scale, np.append(x[:m] + low, D @ x[along]), slack
+
+    def _directions(self, sides: int) -> tuple[Array, Array]:
+        """Return unit vectors of sliding, (k, n), and the contact of each, (n,).
+
+        A line has two vectors, a plane one for each side of its pyramid.
+        """
+        found, of = list[Array](), list[int]()
+        for number in range(sides):
+            for contact in dict.fromkeys(self.rough.tolist()):
+                rows = np.flatnonzero(self.rough == contact)
+                count, vector = (2 if len(rows) == 1 else sides), np.zeros(len(self.rough))
+                if number < count:
+                    angle = 2 * np.pi * number / count
+                    in_plane = [np.cos(angle), np.sin(angle)]
+                    vector[rows] = in_plane if len(rows) > 1 else [1.0 - 2 * number]
+                    found.append(vector)
+                    of.append(contact)
+        return np.reshape(found, (len(of), len(self.rough))).T, np.array(of, dtype=int)
+
     def tie(self, branch: Branch, impulses: Array, rates: Array, least: Array) -> int | None:
-        """Return a contact whose solution lies on two branches, from g', s and N, T; or None."""
+        """Return the index of a contact on two branches, from rates g', s and impulses; or None."""
         size, m = self.sizes(), self.count
         P, y = impulses.real * size, rates.real / size
         _, mu = self._scaled()
-        small, slow = _TIE * np.max(np.abs(P), initial=0.0), _TIE * np.max(np.abs(y), initial=0.0)
+        # In these units an impulse is the change of a rate.
+        small = _TIE * np.max(np.abs(P), initial=0.0)
+        slow = max(small, _TIE * np.max(np.abs(y), initial=0.0))
         more = P[:m] - least.real * size[:m]
-        # A gap that closes alone is struck, however slowly.
+        # An impact of one gap always pushes, however slowly the gap closes.
         tied = np.where(branch.pushes, more <= small, y[:m] <= slow) & (m > 1)
-        sliding, T = y[m:], P[m:]
-        held = np.abs(T) >= mu * P[self.rough] - small
-        on_edge = (branch.sticks & held) | ((branch.slides != 0) & (np.abs(sliding) <= slow))
+        sliding, friction = self.length(y[m:]), self.length(P[m:])
+        held = friction >= mu * P[self.rough] - small
+        on_edge = (branch.sticks & held) | ((self.length(branch.slides) > 0) & (sliding <= slow))
         on_edge &= np.diag(self.inverse_mass).real[m:] > 0
-        tied[self.rough] |= on_edge
+        np.logical_or.at(tied, self.rough, on_edge)
         return int(np.argmax(tied)) if np.any(tied) else None
+
+
+class _Slip(NamedTuple):
+    """Directions d of sliding and mu N/|s|, (k,) each; zero in friction rows that do not slide."""
+
+    direction: Array
+    turn: Array
 
 
 @final
 @dataclass(frozen=True)
 class Branch:
-    """Which contacts push beyond N_0, (m,), and which rough ones stick or slide (by sign), (k,).
+    """Which contacts push beyond N_0, (m,), and which friction rows stick or slide.
 
-    `near` are N and T, (m + k,), as Lemke's method found them. Where contacts depend on each other
-    impulses are not unique, and these lie within the cones of friction.
+    `sticks` and the unit vectors `slides`, (k,) each, have one row for a line and two for a plane.
+    `near` are the impulses N and T, (m + k,), of a solution. If contacts depend on each other the
+    impulses are not unique; those nearest to `near` are taken, which lie within the cones of
+    friction.
     """
 
     pushes: Array
@@ -119,41 +195,61 @@ class Branch:
     near: Array
 
     def impulses(self, contacts: Contacts, rates: Array, least: Array) -> Array:
-        """Return N and T, (m + k,), of numbers of any kind."""
-        zero = np.zeros(len(self.sticks))
-        side = np.concatenate([
-            np.where(self.pushes, -rates[: contacts.count], least),
-            np.where(self.sticks, -rates[contacts.count :], zero),
-        ])  # fmt: skip
-        return self._solved(contacts, side[:, None], self.near[:, None])[:, 0]
+        """Return N and T, (m + k,), on the branch, for real or complex rates r and N_0."""
+        m, P = contacts.count, self.near
+        for _ in range(_CORRECTIONS if contacts.has_planes else 1):
+            s = contacts.inverse_mass[m:] @ P + rates[m:]
+            slip = self._slip(contacts, P[:m], s)
+            side = np.concatenate([
+                np.where(self.pushes, -rates[:m], least),
+                np.where(self.sticks, -rates[m:], -_turned(contacts, slip, rates[m:])),
+            ])  # fmt: skip
+            P = self._solved(contacts, slip, side[:, None], P[:, None])[:, 0]
+        return P
 
     def along(
-        self, contacts: Contacts, normal: Array, changes: tuple[Array, Array, Array]
+        self, contacts: Contacts, state: tuple[Array, Array], changes: tuple[Array, Array, Array]
     ) -> Array:
         """Return derivatives of N and T, (m + k, d), along d directions.
 
-        `normal` is N, (m,); `changes` are the derivatives of rates with impulses held, of N_0, and
-        of mu. ArithmeticError if no impulses on the branch fit them.
+        `state` are N, (m,), and the sliding velocities s, (k,); `changes` are the derivatives of
+        rates with impulses held, of N_0, and of mu. ArithmeticError if no impulses on the branch
+        fit them.
         """
         rates_b, least_b, mu_b = changes
-        m, rough = contacts.count, contacts.rough
-        slid = -(self.slides * normal[rough])[:, None] * mu_b
+        m, (normal, s) = contacts.count, state
+        slip = self._slip(contacts, normal, s)
+        slid = -(slip.direction * normal[contacts.rough])[:, None] * mu_b
+        slid = slid - _turned(contacts, slip, rates_b[m:])
         side = np.vstack([
             np.where(self.pushes[:, None], -rates_b[:m], least_b),
             np.where(self.sticks[:, None], -rates_b[m:], slid),
         ])  # fmt: skip
-        return self._solved(contacts, side, np.zeros_like(side))
+        return self._solved(contacts, slip, side, np.zeros_like(side))
 
-    def _solved(self, contacts: Contacts, side: Array, near: Array) -> Array:
-        """Return the impulses on the branch that are nearest to given ones, (m + k, d)."""
+    def _slip(self, contacts: Contacts, normal: Array, s: Array) -> _Slip:
+        """Return how contacts slide with impulses N, (m,), and sliding velocities s, (k,)."""
+        if not contacts.has_planes:
+            return _Slip(self.slides, np.zeros(len(self.slides)))
+        in_plane = (np.sum(contacts.same, axis=1) > 1) & (contacts.length(self.slides) > 0)
+        speed = np.where(in_plane, contacts.length(s), 1.0)
+        turn = contacts.friction * normal[contacts.rough] / speed
+        return _Slip(np.where(in_plane, s / speed, self.slides), np.where(in_plane, turn, 0.0))
+
+    def _solved(self, contacts: Contacts, slip: _Slip, side: Array, near: Array) -> Array:
+        """Return impulses nearest to `near` that solve the branch for `side`, (m + k, d) each."""
         m, rough, size = contacts.count, contacts.rough, contacts.sizes()
         scaled = contacts.inverse_mass / np.outer(size, size)
-        K = np.eye(len(size), dtype=np.result_type(scaled, contacts.friction))
+        kind = np.result_type(scaled, contacts.friction, slip.direction, slip.turn)
+        K = np.eye(len(size), dtype=kind)
+        # T + mu N d + mu N/|s| (I - d d^T) s = 0 where a contact slides
+        own = size[m:]
+        K[m:] += own[:, None] ** 2 * _turned(contacts, slip, scaled[m:])
         held = np.concatenate([self.pushes, self.sticks])
         K[held] = scaled[held]
-        for j in np.flatnonzero(self.slides).tolist():
+        for j in np.flatnonzero(contacts.length(self.slides)).tolist():
             ratio = size[m + j] / size[rough[j]]
-            K[m + j, rough[j]] = self.slides[j] * contacts.friction[j] * ratio
+            K[m + j, rough[j]] += slip.direction[j] * contacts.friction[j] * ratio
         factor = np.where(held, 1 / size, size)
         right, begin = side * factor[:, None], near * size[:, None]
         miss = right - K @ begin
@@ -164,62 +260,8 @@ class Branch:
         return found / size[:, None]
 
 
-def _solution(M: Array, q: Array) -> Array:
-    """Return a solution x, (n,), by Lemke's method; after a ray by round-off from a new start."""
-    for n in range(_STARTS):
-        try:
-            return lemke(M, q, 1.0 + np.modf(n * _SPREAD * np.arange(len(q)))[0])
-        except ArithmeticError:
-            if n == _STARTS - 1:
-                raise
-    raise AssertionError
-
-
-def lemke(M: Array, q: Array, cover: Array) -> Array:
-    """Return x >= 0 with w = M x + q >= 0 and x^T w = 0, (n,), by Lemke's method.
-
-    The artificial variable has the coefficients `cover`, (n,), positive. Ties between pivots are
-    broken lexicographically, so that it does not cycle. ArithmeticError if it ends on a ray:
-    copositive problems have no solution then.
-    """
-    n = len(q)
-    if np.all(q >= 0):
-        return np.zeros(n)
-    # Columns: w, x, the artificial variable, the right side. Rows: basic variables.
-    table = np.hstack([np.eye(n), -M, -cover[:, None], q[:, None]])
-    basis, entering = np.arange(n), 2 * n
-    row = _first(np.column_stack([q, table[:, :n]]) / cover[:, None], np.arange(n))
-    for _ in range(50 * (n + 2)):
-        leaving = int(basis[row])
-        table[row] /= table[row, entering]
-        others = np.arange(n) != row
-        table[others] -= np.outer(table[others, entering], table[row])
-        basis[row] = entering
-        if leaving == 2 * n:
-            x = np.zeros(2 * n + 1)
-            x[basis] = np.maximum(table[:, -1], 0.0)
-            return x[n : 2 * n]
-        entering = leaving + n if leaving < n else leaving - n
-        column = table[:, entering]
-        good = np.flatnonzero(column > _ROUND_OFF * max(1.0, float(np.max(np.abs(column)))))
-        if not len(good):
-            raise ArithmeticError
-        ratios = np.column_stack([table[:, -1], table[:, :n]])[good] / column[good, None]
-        artificial = np.flatnonzero(basis[good] == 2 * n)
-        if len(artificial) and ratios[artificial[0], 0] <= np.min(ratios[:, 0]) + _ROUND_OFF:
-            row = int(good[artificial[0]])
-            continue
-        row = int(good[_first(ratios, np.arange(len(good)))])
-    raise ArithmeticError
-
-
-def _first(rows: Array, among: Array) -> int:
-    """Return the lexicographically least of some rows, up to round-off."""
-    for column in rows.T:
-        values = column[among]
-        among = among[
-            values <= np.min(values) + _ROUND_OFF * max(1.0, float(np.max(np.abs(values))))
-        ]
-        if len(among) == 1:
-            break
-    return int(among[0])
+def _turned(contacts: Contacts, slip: _Slip, x: Array) -> Array:
+    """Return mu N/|s| (I - d d^T) x for friction rows x, (k,) or (k, d)."""
+    d, turn = slip.direction, slip.turn
+    across = np.eye(len(d)) - np.outer(d, d) * contacts.same
+    return np.asarray((turn[:, None] * across) @ x)

@@ -12,16 +12,16 @@ import numpy as np
 
 from ancfdae.numerics.arrays import Array
 
-# Places within a step, as parts of it, that count as its ends.
+# Fractions of a step within which a position counts as its end.
 _END = 1e-9
-# Rates that are this small against the largest one along the run are round-off at its start.
+# A rate at the start of a run counts as round-off below this fraction of the largest rate.
 _ROUND_OFF = 1e-10
 
 
 class Crossing(NamedTuple):
-    """A zero of a function: its time, the sign before it, and a time point with the other sign.
+    """A zero of a function: its time, s, the sign before it, and a later time of the other sign.
 
-    `after` is infinite where no time point shows the other sign.
+    `after` is infinite if no time point shows the other sign.
     """
 
     time: float
@@ -32,12 +32,12 @@ class Crossing(NamedTuple):
 def first_crossing(
     t: Array, g: Array, rate: Array, direction: int, side: float | None, noise: Array, gap: bool
 ) -> Crossing | None:
-    """Return the first zero that g crosses in a direction; None if it crosses no zero.
+    """Return the first zero at which g crosses in a direction; None if there is no crossing.
 
-    `side` is the sign that g has just after the start where an event has just happened there: its
-    value is then round-off. A zero at the first time point is no crossing otherwise: g is then
-    on the side to which it moves. Values up to `noise`, (k,), are round-off: zero at the first time
-    point, and open everywhere if g is a gap.
+    `side` is the sign of g just after the start if an event has just happened there: its value is
+    then round-off. Otherwise a zero at the first time point is no crossing: g is then on the side
+    to which it moves. Values up to `noise`, (k,), are round-off: zero at the first time point, and
+    open everywhere if g is a gap.
     """
     at_zero = abs(g[0]) <= noise[0]
     if at_zero and abs(rate[0]) <= _ROUND_OFF * np.max(np.abs(rate)):
@@ -59,12 +59,12 @@ def first_crossing(
 
 
 def _sides(g: Array, rate: Array, side: float | None, at_zero: bool) -> Array:
-    """Return the signs of g at the time points, (k,); of a zero the side to which it moves."""
+    """Return the signs of g at the time points, (k,); at a zero the side to which it moves."""
     sides, moves = np.sign(g), np.sign(rate)
     if side is not None:
         sides[0] = side
     elif at_zero:
-        # If it does not move either it counts where it goes then.
+        # If the rate is zero, too, the next sign counts.
         sides[0] = moves[0] or next(iter(sides[1:][sides[1:] != 0]), 1.0)
     for n in np.flatnonzero(sides == 0).tolist():
         sides[n] = moves[n] or (sides[n - 1] if n else 1.0)
@@ -72,7 +72,7 @@ def _sides(g: Array, rate: Array, side: float | None, at_zero: bool) -> Array:
 
 
 def _in_step(t: Array, g: Array, rate: Array, direction: int, side: float) -> float | None:
-    """Return the first zero of the cubic in a step at which it leaves its side in the direction."""
+    """Return the first zero of the cubic in a step, s, at which g leaves its side; None without."""
     h = float(t[1] - t[0])
     slopes = h * rate
     rise = g[1] - g[0]
@@ -87,7 +87,7 @@ def _in_step(t: Array, g: Array, rate: Array, direction: int, side: float) -> fl
     places = np.clip(places[(places >= -_END) & (places <= 1 + _END)], 0.0, 1.0)
     steepness = np.polyval(np.polyder(cubic), places)
     wanted = steepness * direction > 0 if direction else steepness != 0
-    # Two zeros of a function that returns: it leaves its side at one of them only.
+    # If the function has two zeros in the step, it leaves its side at one of them only.
     wanted &= (steepness * side < 0) | (direction * side > 0)
     good = places[wanted]
     return float(t[0] + good[0] * h) if len(good) else None

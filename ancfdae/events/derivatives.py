@@ -1,19 +1,19 @@
-"""Derivatives of a run with events: forward along the phases, and their transpose back.
+"""Derivatives of a run with events: forward along the phases, and their transpose backward.
 
-A phase hands on the time t_e, q_e and v_e of its end. With its duration D as one more design
+A phase passes on the time t_e, q_e and v_e of its end. With its duration D as one more design
 variable (`phase_system`), the end of a phase whose event has the function g follows from
 
     g_x x_D + g_t = 0 in D:   D_b = -(g_x x_b + g_t t_0,b + g_b) / (g_x x_D + g_t),
 
-where x_b holds D. A phase that ends at a given time has D_b = -t_0,b. Then x_b + x_D D_b are the
-derivatives of all states of the phase, t_0,b + D_b is the derivative of t_e, and the jump is
-differentiated (`impact`). Backward, covectors pass the transposed jump, the
+where x_b are derivatives at fixed D. A phase that ends at a given time has D_b = -t_0,b. Then x_b +
+x_D D_b are the derivatives of all states of the phase, t_0,b + D_b is the derivative of t_e, and
+the jump is differentiated (`impact`). Backward, adjoint vectors pass the transposed jump, the
 transposed phase, whose start is free there, and D.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, final
 
@@ -28,17 +28,17 @@ from ancfdae.events.impact import Directions
 from ancfdae.events.kinds import Event
 from ancfdae.events.objectives import PhasePartials
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
-from ancfdae.events.run import Jump, Phase, PhasedRun
+from ancfdae.events.phases import Jump, Phase, PhasedRun
 from ancfdae.events.strikes import Strike, order_matters
 from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.method import UnfinishedRunError, finished
 
-# A function whose rate at its zero is this part of the largest one in the phase grazes zero.
+# A function grazes zero if its rate there is below this times the largest rate in the phase.
 _GRAZES = 1e-6
-# Derivatives of a gap that are this part of their terms are round-off: at the start, and at the
-# end of a phase, which iterations have led to.
+# Derivatives of a gap count as zero below these fractions of their terms: at the start, and at the
+# end of a phase, which is located by iteration.
 _CLOSED, _TOGETHER = 1e-10, 1e-6
 
 
@@ -47,9 +47,9 @@ _CLOSED, _TOGETHER = 1e-10, 1e-6
 class PhaseDerivatives:
     """A phase with the design derivatives of its start, its duration and all its states.
 
-    The time points move with the design, by t_b of shape (k, n_b). `strikes_b` are derivatives of
-    the time, (n_b,), and of the impulses, (m, n_b), of each of the strikes at the end of the phase.
-    `in_duration` are derivatives of q, v and lam in D, of a phase that ends at a given time.
+    Derivatives of the time points are t_b, (k, n_b). `strikes_b` are derivatives of the time,
+    (n_b,), and of the impulses, (m, n_b), of each of the strikes at the end of the phase.
+    `in_duration` are derivatives of q, v and lam in D, for a phase that ends at a given time.
     """
 
     phase: Phase
@@ -70,25 +70,29 @@ class _Start(NamedTuple):
 
 
 def differentiated(run: PhasedRun) -> tuple[PhasedRun, list[PhaseDerivatives]]:
-    """Return a finished run with the derivatives of each phase (direct differentiation)."""
+    """Return a finished run with events, and design derivatives of each phase (direct)."""
+    found = list(_each_differentiated(run, run.phases))
+    return replace(run, phases=tuple(x.phase for x in found)), found
+
+
+def _each_differentiated(run: PhasedRun, phases: Iterable[Phase]) -> Iterator[PhaseDerivatives]:
+    """Yield the derivatives of one phase after the other, of `phases` with all their states."""
     system = run.phases[0].mode.system
     start = _Start(np.zeros(system.n_b), *system.start_b())
     if run.before is not None:
         require_closed_start(system, run.before)
         start, _ = _after(run.before, start)
-    found: list[PhaseDerivatives] = []
-    for phase in run.phases:
+    for phase in phases:
         done, end = _through(phase, start)
         if done.phase.jump is not None:
             _happen_together(done, end)
             start, strikes_b = _after(done.phase.jump, end)
             done = replace(done, strikes_b=strikes_b)
-        found.append(done)
-    return replace(run, phases=tuple(x.phase for x in found)), found
+        yield done
 
 
 def _through(phase: Phase, start: _Start) -> tuple[PhaseDerivatives, _Start]:
-    """Differentiate a phase; return its derivatives, and the derivatives at its end."""
+    """Return the derivatives of a phase, and the derivatives of time, q and v at its end."""
     base, (t, q, v), D = phase.mode.system, phase.state, phase.duration
     system = PhaseSystem(base, PhaseStart(t, q, v, *start), D, phase.first)
     run = _differentiated(phase, system)
@@ -113,7 +117,7 @@ def _through(phase: Phase, start: _Start) -> tuple[PhaseDerivatives, _Start]:
 
 
 def _crossing(phase: Phase, last: Sequence[Array], n: int) -> tuple[float, Array, float]:
-    """Return g_t, and the derivatives of g through the last state in b and in D; refuse grazing."""
+    """Return g_t, and the derivatives of the event function g in b and D; reject grazing."""
     assert phase.event is not None
     q_b, v_b, _, lam_b = last
     _, p = at_end(phase.mode.system, phase.event.crossing[0], phase.t_end, phase.run)
@@ -123,7 +127,7 @@ def _crossing(phase: Phase, last: Sequence[Array], n: int) -> tuple[float, Array
 
 
 def require_crossing(phase: Phase, rate: float) -> None:
-    """Refuse to differentiate a phase whose event only grazes zero: its time has no derivative."""
+    """Raise InvalidInputError if an event only grazes zero: its time then has no derivative."""
     assert phase.event is not None
     system, function = phase.mode.system, phase.event.crossing[0]
     largest = np.max(np.abs(along_run(system, function, phase.t_0, phase.run).rate))
@@ -136,7 +140,7 @@ def require_crossing(phase: Phase, rate: float) -> None:
 
 
 def require_closed_start(system: MechanicalSystem, jump: Jump) -> None:
-    """Refuse to differentiate impacts at the start whose gaps the design opens or closes."""
+    """Raise InvalidInputError for impacts at the start whose gaps depend on the design."""
     q_b, _ = system.start_b()
     for strike in jump.strikes:
         time, q, v = strike.struck.state
@@ -150,16 +154,20 @@ def require_closed_start(system: MechanicalSystem, jump: Jump) -> None:
                 raise InvalidInputError(where, rule, "a gap that depends on the design", repair)
 
 
-def require_one_time(run: PhasedRun) -> None:
-    """Refuse to differentiate a run in which times of events coincide at this design only."""
+def require_one_time(run: PhasedRun, phases: Iterable[Phase]) -> None:
+    """Raise InvalidInputError for a run in which times of events coincide at this design only.
+
+    `phases` are the phases of the run with all their states.
+    """
     if any(phase.jump is not None and len(phase.jump.events) > 1 for phase in run.phases):
-        differentiated(run)
+        for _ in _each_differentiated(run, phases):
+            pass
 
 
 def _happen_together(done: PhaseDerivatives, end: _Start) -> None:
-    """Refuse to differentiate events whose times are the same at this design only.
+    """Raise InvalidInputError for events whose times coincide at this design only.
 
-    Their order changes with the design, and a jump of the whole belongs to one of them. Impacts
+    Their order changes with the design, and the jump as a whole belongs to one of them. Impacts
     that do not act on each other may have times of their own.
     """
     phase, moved = done.phase, _directions(end)
@@ -185,7 +193,7 @@ def _happen_together(done: PhaseDerivatives, end: _Start) -> None:
 
 
 def _is_apart(gap: Partials, moved: Directions, strike: Strike) -> bool:
-    """Whether a gap that is closed changes along directions in which the state moves."""
+    """Return whether a closed gap changes along the directions in which the state moves."""
     _, _, v = strike.struck.state
     ahead = np.outer(v, moved.t)
     terms = np.abs(gap.q) @ (np.abs(moved.q - ahead) + np.abs(ahead))
@@ -195,9 +203,9 @@ def _is_apart(gap: Partials, moved: Directions, strike: Strike) -> bool:
 
 
 def _missed(done: PhaseDerivatives, end: _Start, event: Event) -> bool:
-    """Whether the function of an event is not zero at the end of a phase at other designs."""
+    """Return whether an event function is not zero at the end of a phase at other designs."""
     phase, run, lam_b = done.phase, done.phase.run, done.states.lam_b[-1]
-    # Derivatives at a held time, and what the motion adds until the time of the event.
+    # Derivatives at a fixed time, and those from the change of the time of the event.
     moved = [np.outer(rate[-1], end.t_b) for rate in (run.v, run.a)]
     q_b, v_b = ((x_b - more, more) for x_b, more in zip((end.q_b, end.v_b), moved, strict=True))
     _, p = at_end(phase.mode.system, event.crossing[0], phase.t_end, run)
@@ -208,7 +216,7 @@ def _missed(done: PhaseDerivatives, end: _Start, event: Event) -> bool:
 
 
 def _apart(phase: Phase, event: Event) -> InvalidInputError:
-    """Return the error of an event that coincides with another one at this design only."""
+    """Return the error for an event that coincides with another one at this design only."""
     where = f"event {event.name!r} at t = {phase.t_end:.6g}"
     rule = "must happen together with the other event of that time at neighbouring designs"
     got = "a time that changes otherwise with the design"
@@ -217,7 +225,7 @@ def _apart(phase: Phase, event: Event) -> InvalidInputError:
 
 
 def _differentiated(phase: Phase, system: PhaseSystem) -> Solution:
-    """Return the run of a phase with derivatives; UnfinishedRunError if their pass breaks off."""
+    """Return the run of a phase with derivatives; UnfinishedRunError if the pass fails."""
     integrator = phase.integrator
     if isinstance(integrator, SteppedIntegrator):
         run = integrator.differentiate(system, phase.run)
@@ -238,7 +246,7 @@ def _after(jump: Jump, end: _Start) -> tuple[_Start, tuple[tuple[Array, Array], 
 
 
 def _directions(end: _Start) -> Directions:
-    """Return derivatives in the design as directions."""
+    """Return the derivatives in all design variables as directions."""
     return Directions(*end, np.eye(len(end.t_b)))
 
 
@@ -246,39 +254,46 @@ def _directions(end: _Start) -> Directions:
 
 
 class _Covectors(NamedTuple):
-    """Derivatives of a number in time, q and v at one time point."""
+    """Derivatives of a number (adjoint) in time, q and v at one time point."""
 
     t: float
     q: Array
     v: Array
 
 
-def pulled_back(run: PhasedRun, partials: Sequence[PhasePartials]) -> tuple[Array, float]:
-    """Return the gradient of an objective from its partials in all phases, (n_b,) (adjoint).
+@final
+class BackwardPass:
+    """The gradient of an objective, from the last phase of a run to the first one (adjoint).
 
-    The derivative in the end of the run comes beside; zero where an event ends the run.
+    `in_end` is the derivative in the end of the run; zero where an event ends it.
     """
-    in_end = 0.0
-    system = run.phases[0].mode.system
-    gradient, n_q = np.zeros(system.n_b), system.n_q
-    on = _Covectors(0.0, np.zeros(n_q), np.zeros(n_q))
-    for phase, p in zip(reversed(run.phases), reversed(partials), strict=True):
+
+    def __init__(self, system: MechanicalSystem) -> None:
+        n_q = system.n_q
+        self._on = _Covectors(0.0, np.zeros(n_q), np.zeros(n_q))
+        self._gradient, self.in_end = np.zeros(system.n_b), 0.0
+
+    def through(self, phase: Phase, p: PhasePartials) -> None:
+        """Pull back through a phase, and the jump at its end, with partials along the phase."""
         if phase.jump is not None:
-            on, on_b = _before(phase.jump, on)
-            gradient += on_b
-        on, on_b, in_D = _back_through(phase, p, on)
-        gradient += on_b
+            self._on, on_b = _before(phase.jump, self._on)
+            self._gradient += on_b
+        self._on, on_b, in_D = _back_through(phase, p, self._on)
+        self._gradient += on_b
         if phase.event is None:
-            in_end = in_D
-    if run.before is not None:
-        require_closed_start(system, run.before)
-        on, on_b = _before(run.before, on)
-        gradient += on_b
-    return gradient + system.start_pull_back(on.q, on.v), in_end
+            self.in_end = in_D
+
+    def to_start(self, system: MechanicalSystem, before: Jump | None) -> Array:
+        """Return the gradient, (n_b,), after the transposed start of the run and its impacts."""
+        if before is not None:
+            require_closed_start(system, before)
+            self._on, on_b = _before(before, self._on)
+            self._gradient += on_b
+        return self._gradient + system.start_pull_back(self._on.q, self._on.v)
 
 
 def _before(jump: Jump, on: _Covectors) -> tuple[_Covectors, Array]:
-    """Return the adjoint vectors before a jump, and the gradient's part in it, (n_b,)."""
+    """Return the adjoint vectors before a jump, and its contribution to the gradient, (n_b,)."""
     n, gradient = jump.mode.system.n_q, np.zeros(jump.mode.system.n_b)
     for strike in reversed(jump.strikes):
         moved, _ = strike.along(Directions.all_of(strike.mode.system))
@@ -291,7 +306,7 @@ def _before(jump: Jump, on: _Covectors) -> tuple[_Covectors, Array]:
 def _back_through(
     phase: Phase, p: PhasePartials, on: _Covectors
 ) -> tuple[_Covectors, Array, float]:
-    """Pull covectors on the end of a phase, and partials along it, back to its start, b and D."""
+    """Return adjoint vectors at the start of a phase from those at its end; parts in b and D."""
     base, n = phase.mode.system, phase.mode.system.n_b
     total = _pulled_back(phase, p.q, p.v, p.lam, on)
     # D is variable n, t_0 the next one.
@@ -320,7 +335,7 @@ def _pulled_back(
     base, run, D, integrator = phase.mode.system, phase.run, phase.duration, phase.integrator
     assert isinstance(integrator, SteppedIntegrator)
     start = PhaseStart.held(*phase.state, base.n_b).free(base.n_b)
-    # A free start does not keep to constraints: what it misses is projected.
+    # A free start may violate constraints: it is projected onto them.
     system = PhaseSystem(base, start, D, first=False)
     q, v = (np.zeros_like(run.q) if x is None else x.copy() for x in (q, v))
     q[-1] += end.q

@@ -1,7 +1,7 @@
 """Functions of events and gaps along a run: values, rates in time, and partials.
 
-They are observables; what a run with events needs beside their values are rates in time and, for
-impacts, how the gradient of a gap turns with the motion.
+They are observables. Runs with events also need their rates in time and, for impacts, the change of
+the gradient of a gap with the motion.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ from ancfdae.numerics.complex_step import scaled_derivative
 from ancfdae.sensitivity.observables.expression import leaf_weights
 from ancfdae.sensitivity.observables.observable import Leaf, Observable, States
 
-# A gap whose gradients differ by less than this, relative to the largest entry, is linear in the
-# coordinates.
+# A gap is linear in the coordinates if its gradients differ by less than this, relative to the
+# largest entry.
 _SAME = 1e-14
-# A sliding velocity that differs from its linear form by less than this part of its terms is one.
+# A sliding velocity is linear in velocities if it differs from its linear form by less than this,
+# relative to its terms.
 _LINEAR = 1e-10
 
 #: Rows, (k, n_q), and rates at zero velocities, (k,), of a gap or of a sliding velocity at k times
@@ -33,7 +34,7 @@ RowsOf = Callable[[MechanicalSystem, Array, Array], tuple[Array, Array]]
 class AlongRun(NamedTuple):
     """Values and rates in time of an observable at the time points of a run, (k,) each.
 
-    `size` is the sum of the sizes of what the values are made of; their round-off is a part of it.
+    `size` is the sum of the magnitudes of its terms, to which their round-off is relative.
     """
 
     value: Array
@@ -42,7 +43,7 @@ class AlongRun(NamedTuple):
 
 
 class Partials(NamedTuple):
-    """Partials of one observable in a state: time, q, v and lam, and the design with these held."""
+    """Partials of an observable in one state: in time, q, v, lam, and, at fixed state, design."""
 
     t: float
     q: Array
@@ -54,7 +55,7 @@ class Partials(NamedTuple):
 def along_run(
     system: MechanicalSystem, function: Observable, t_0: float, run: Solution
 ) -> AlongRun:
-    """Return an observable along a phase that began at t_0."""
+    """Return an observable along a phase that began at t_0, s."""
     states = States(t_0 + run.t, run.q, run.v, run.lam, run.degree)
     p = function.partials(system, states)
     on_t = in_time(system, function, states)
@@ -71,9 +72,9 @@ def along_run(
 
 
 def _sizes(system: MechanicalSystem, x: Array) -> Array:
-    """Return the largest size along rows of x, (k, n_q), of the vector of each coordinate, (n_q,).
+    """Return the largest magnitude along rows of x, (k, n_q), of each coordinate's vector, (n_q,).
 
-    A coordinate that is zero by the place of the axes has the round-off of its vector.
+    A coordinate that is zero because of the direction of the axes has the round-off of its vector.
     """
     largest, d = np.max(np.abs(x), axis=0, initial=0.0), system.vector_size
     whole = len(largest) // d * d
@@ -84,7 +85,7 @@ def _sizes(system: MechanicalSystem, x: Array) -> Array:
 def at_end(
     system: MechanicalSystem, function: Observable, t: float, run: Solution
 ) -> tuple[float, Partials]:
-    """Return value and partials of an observable in the last state of a run, at the time t."""
+    """Return value and partials of an observable in the last state of a run, at time t, s."""
     last = States(np.array([t]), run.q[-1:], run.v[-1:], run.lam[-1:])
     return partials(system, function, last)
 
@@ -106,10 +107,10 @@ def partials(
 def gap_at(
     system: MechanicalSystem, gap: Observable, t: float, q: Array, *v: Array
 ) -> tuple[float, float, float, float]:
-    """Return a gap in one state, its rate, and the sizes of what both are made of.
+    """Return a gap in one state, its rate, and the magnitudes of the terms of gap and rate.
 
-    The first velocities belong to the state. Further ones count in the size of the rate, such as
-    velocities before an impact, whose round-off remains.
+    The first velocities belong to the state. Further ones, such as velocities before an impact
+    whose round-off remains, count only in the magnitude of the rate.
     """
     at = States(np.array([t]), q[None], v[0][None], np.zeros((1, system.n_lam)))
     g, p = partials(system, gap, at)
@@ -118,7 +119,7 @@ def gap_at(
 
 
 def in_time(system: MechanicalSystem, function: Observable, states: States) -> Array:
-    """Return the partial of an observable in time with states and design held, shape (k,)."""
+    """Return the partial of an observable in time, at fixed states and design, shape (k,)."""
     values = function.node_values(system, states)
     total = np.zeros(len(states.t))
     for leaf, weight in leaf_weights(values, np.ones(len(states.t))).items():
@@ -142,9 +143,10 @@ def _leaf_in_time(system: MechanicalSystem, leaf: Leaf, states: States) -> Array
 
 
 def gap_rows(system: MechanicalSystem, gap: Observable, t: Array, q: Array) -> tuple[Array, Array]:
-    """Return g_q, (k, n_q), and g_t, (k,), of a gap at k places; refuse one that sees velocities.
+    """Return g_q, (k, n_q), and g_t, (k,), of a gap at k configurations.
 
-    The rate of the gap is g_q v + g_t.
+    The rate of the gap is g_q v + g_t. Raises InvalidInputError if the gap depends on velocities or
+    multipliers.
     """
     states = States(t, q, np.zeros_like(q), np.zeros((len(t), system.n_lam)))
     p = gap.partials(system, states)
@@ -159,12 +161,12 @@ def gap_rows(system: MechanicalSystem, gap: Observable, t: Array, q: Array) -> t
 def sliding_rows(
     system: MechanicalSystem, sliding: Observable, t: Array, q: Array
 ) -> tuple[Array, Array]:
-    """Return s_v, (k, n_q), and s at zero velocities, (k,), of a sliding velocity at k places.
+    """Return s_v, (k, n_q), and s(v = 0), (k,), of a sliding velocity at k configurations.
 
     The sliding velocity is s_v v + s(v = 0); InvalidInputError if it is not linear in v.
     """
     still = np.zeros_like(q)
-    # Velocities that differ by place and coordinate, with the sizes of positions.
+    # Velocities that differ by coordinate, with the sizes of positions.
     other = np.cos(np.arange(q.shape[1])) * (np.max(np.abs(q), axis=1, initial=0.0) + 1)[:, None]
     lam = np.zeros((len(t), system.n_lam))
     p = sliding.partials(system, States(t, q, still, lam))

@@ -1,12 +1,12 @@
 """Impacts of one or several gaps at one time, with friction, and their derivatives.
 
-G = g_q are the gradients of the gaps, u = G v + g_t their rates; rough contacts have
-sliding velocities s = H v + s_t with H = s_v. W stacks G and H. The velocity v before the
-impact is first moved onto the constraints, to v_p:
+G = g_q are the gradients of the gaps, u = G v + g_t their rates; rough contacts have one or
+two sliding velocities s = H v + s_t each, with H = s_v. W stacks G and H. The velocity v before
+the impact is first moved onto the constraints, to v_p:
 
     M (v_p - v) + Phi_q^T sigma = 0,   Phi_q v_p = nu.
 
-Then it is struck by impulses P along normals and T along lines of sliding:
+Then it is struck by impulses P along normals and T along lines, or in planes, of sliding:
 
     M (v+ - v) + Phi_q^T mu - W^T (P, T) = 0,   Phi_q v+ = nu.
 
@@ -41,12 +41,13 @@ from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization
 from ancfdae.sensitivity.observables.observable import Observable
 
-# Inverse masses below this part of the largest possible one are round-off: of a gap that joints
-# hold, and of a gap whose rate follows from the rates of other gaps.
+# Inverse masses count as zero below these fractions of the largest possible one: for a gap that
+# joints fix, and for a gap whose rate follows from the rates of other gaps.
 _FIXED, _DEPENDENT = 1e-12, 1e-10
-# A sliding velocity below this part of its terms is zero.
+# A sliding velocity counts as zero below this fraction of its terms.
 _STANDS = 1e-12
-# Gaps that see each other's impulses less than this, relative to their own, do not at all.
+# Gaps are uncoupled if the impulse of one changes the rate of another by less than this, relative
+# to its own.
 _UNCOUPLED = 1e-12
 
 
@@ -67,7 +68,7 @@ class Directions(NamedTuple):
 
 
 class _Velocity(NamedTuple):
-    """A velocity w on the constraints, and the multipliers that lead there from v.
+    """A velocity w on the constraints, with the multipliers and impulses that lead to it from v.
 
     M (w - v) + Phi_q^T multiplier - W^T impulses = 0, Phi_q w = nu.
     """
@@ -78,7 +79,7 @@ class _Velocity(NamedTuple):
 
 
 class _Stage(NamedTuple):
-    """A stage of an impact: its branch, N_0 of its impulses, its own impulses, the end of it."""
+    """A stage of an impact: branch, least impulses N_0, its impulses, and velocity at its end."""
 
     branch: Branch
     least: Array
@@ -89,11 +90,12 @@ class _Stage(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Struck:
-    """Impacts at one time, solved: velocities moved onto the constraints, and after the impact.
+    """Solved impacts at one time.
 
-    `impacts` are those that push, with the restitutions e; `contacts` hold the inverse mass and the
-    coefficients of friction of the rough ones; X as above. `tie` names an impact that lies between
-    two branches.
+    `impacts` are those that push, with the restitutions e, (m,); `contacts` hold the inverse mass
+    and the coefficients of friction. `before` is the velocity moved onto the constraints; the last
+    of `stages` ends with the velocity after the impact. X is as in the module. `tie` names an
+    impact that lies between two branches.
     """
 
     system: MechanicalSystem
@@ -111,27 +113,35 @@ class Struck:
 
     @property
     def after(self) -> _Velocity:
-        """The velocity after the impact."""
+        """The velocity of the system after the impact, with the total impulses."""
         return self.stages[-1].after
 
-    def impulses(self) -> list[tuple[Impact, int, int | None]]:
-        """Return the impacts that push, with the places of their impulses P and T."""
-        m, rough = len(self.impacts), self.contacts.rough.tolist()
-        places = [m + rough.index(i) if i in rough else None for i in range(m)]
+    def impulses(self) -> list[tuple[Impact, int, list[int]]]:
+        """Return each impact that pushes, with the index of its P and the indices of its T."""
+        m, rough = len(self.impacts), self.contacts.rough
+        places = [(m + np.flatnonzero(rough == i)).tolist() for i in range(m)]
         return list(zip(self.impacts, range(m), places, strict=True))
 
     def slides(self, impact: Impact) -> float:
-        """Return the sign of the sliding velocity at the end of an impact; 0 if it sticks."""
+        """Return the sign of the sliding velocity at the end of an impact; 0 if it sticks.
+
+        In a plane every direction of sliding counts as positive.
+        """
         (W, w_t), w = self.rows, self.after.value
-        for each, _, place in self.impulses():
-            if each is impact and place is not None:
-                terms, rate = np.abs(W[place]) @ np.abs(w) + np.abs(w_t[place]), W[place] @ w
-                moves = np.abs(rate + w_t[place]) > _STANDS * terms
-                return float(np.sign(np.real(rate + w_t[place]))) if moves else 0.0
+        for each, _, places in self.impulses():
+            if each is impact and places:
+                terms = np.abs(W[places]) @ np.abs(w) + np.abs(w_t[places])
+                rates = np.real(W[places] @ w + w_t[places])
+                moves = bool(np.any(np.abs(rates) > _STANDS * np.max(terms)))
+                sign = float(np.sign(rates[0])) if len(places) == 1 else 1.0
+                return sign if moves else 0.0
         return 0.0
 
     def require_branch(self) -> None:
-        """Refuse to differentiate impacts that lie between sticking, sliding and opening."""
+        """Raise InvalidInputError for impacts between sticking, sliding and opening.
+
+        Such impacts have no derivative.
+        """
         if self.tie is not None:
             where = f"impact {self.tie!r} at t = {np.real(self.state[0]):.6g}"
             rule = "must stick, slide or open clearly to have derivatives"
@@ -140,7 +150,7 @@ class Struck:
             raise InvalidInputError(where, rule, got, repair)
 
     def along(self, moved: Directions) -> tuple[Array, Array]:
-        """Return the derivatives of v+, (n_q, d), and of P and T, (m + k, d), along directions."""
+        """Return derivatives of v+, (n_q, d), and of (P, T), (m + k, d), along d directions."""
         self.require_branch()
         m, (W, w_t), (t, q, _) = len(self.impacts), self.rows, self.state
         directions = moved.t, moved.q, moved.b
@@ -150,7 +160,7 @@ class Struck:
         ]
 
         def rates_b(w: _Velocity) -> tuple[Array, Array]:
-            """Return derivatives of a velocity and of its rates, with its impulses held."""
+            """Return derivatives of a velocity and of its rates, at fixed impulses."""
             turned = np.zeros_like(moved.q)
             for impulse, (dW, _) in zip(w.impulses, rows_b, strict=True):
                 turned = turned + impulse * dW
@@ -170,16 +180,16 @@ class Struck:
                 least_b = e_b * first + e * stage_b[:m]
             elif not self._in_two_stages:
                 change[:m] += e * u_b[:m] + e_b * u
-            normal, changes = stage.impulses[:m], (change, least_b, mu_b)
-            stage_b = self._branch_along(stage.branch, normal, changes)
+            state = stage.impulses[:m], (W @ stage.after.value + w_t)[m:]
+            stage_b = self._branch_along(stage.branch, state, (change, least_b, mu_b))
             total_b = total_b + stage_b
         return held_b + self.X @ total_b, total_b
 
     def _branch_along(
-        self, branch: Branch, normal: Array, changes: tuple[Array, Array, Array]
+        self, branch: Branch, state: tuple[Array, Array], changes: tuple[Array, Array, Array]
     ) -> Array:
         try:
-            return branch.along(self.contacts, normal, changes)
+            return branch.along(self.contacts, state, changes)
         except ArithmeticError as error:
             names = ", ".join(repr(x.name) for x in self.impacts)
             where = f"impacts {names} at t = {np.real(self.state[0]):.6g}"
@@ -189,11 +199,11 @@ class Struck:
 
     @property
     def _in_two_stages(self) -> bool:
-        """Whether compression and expansion have stages of their own."""
+        """Whether compression and expansion are separate stages (Poisson's law)."""
         return len(self.stages) > 1
 
     def _held(self, w: _Velocity, moved: Directions, extra: Array | float) -> Array:
-        """Return derivatives of a velocity, (n_q, k), impulses held; `extra` is (G^T P)_b."""
+        """Return derivatives of a velocity w, (n_q, k), at fixed impulses; `extra` is W_b^T p."""
         system, (t, q, v) = self.system, self.state
         time, change = float(np.real(t)), w.value - v
         at = np.array([time]), q[None], None, change[None], w.multiplier[None]
@@ -211,7 +221,7 @@ class Struck:
     def _coefficients_along(self, moved: Directions) -> tuple[Array, Array]:
         """Return the derivatives of restitutions, (m, d), and of frictions, (k, d)."""
         restitutions = [0.0 if self.plastic else x.restitution for x in self.impacts]
-        frictions = [x.friction for x in self.impacts if x.is_rough]
+        frictions = [x.friction for x in self.impacts for _ in x.lines]
         found = []
         for numbers in (restitutions, frictions):
             rows = np.zeros((len(numbers), len(moved.t)))
@@ -229,7 +239,7 @@ def struck(
     plastic: bool,
     state: tuple[complex, Array, Array],
 ) -> Struck:
-    """Solve impacts that happen at (t, q, v); plastic ones have no restitution."""
+    """Return the solution of impacts at a state (t, q, v); `plastic` sets all restitutions to 0."""
     t, q, v = state
     local, factors = _factored(system, state)
     moved, multiplier = solve(factors, np.zeros_like(v), local.constraint(0.0, q, v))
@@ -240,7 +250,7 @@ def struck(
 
 @final
 class _Impulses:
-    """The impulses of independent gaps from a velocity on the constraints."""
+    """Equations for the impulses of impacts with independent gaps, from a consistent velocity."""
 
     def __init__(
         self,
@@ -262,17 +272,17 @@ class _Impulses:
             coefficient(system, own, f"restitution of {x.name!r}", state)
             for own, x in zip(e, impacts, strict=True)
         ])  # fmt: skip
-        rough = [i for i, x in enumerate(impacts) if x.is_rough]
+        rough = [i for i, x in enumerate(impacts) for _ in x.lines]
         mu = [
             coefficient(system, x.friction, f"friction of {x.name!r}", state)
             for x in impacts
-            if x.is_rough
+            for _ in x.lines
         ]
         self._contacts = Contacts(W @ self._X, np.array(rough, dtype=int), np.array(mu))
         self._rates = W @ before.value + w_t
 
     def solved(self) -> Struck:
-        """Return the impacts with their stages, without the contacts that do not push."""
+        """Return the solved impacts, without the contacts that do not push."""
         stages, m = self._stages(), len(self._impacts)
         total = stages[-1].after.impulses
         pushing = np.flatnonzero(total[:m].real > 0)
@@ -288,7 +298,7 @@ class _Impulses:
         )  # fmt: skip
 
     def _stages(self) -> tuple[_Stage, ...]:
-        """Return the stages of the impact: one, or compression and expansion."""
+        """Return the stages of the impact: one (Newton), or compression and expansion (Poisson)."""
         laws, m = {x.law for x in self._impacts}, len(self._impacts)
         if len(laws) > 1:
             names = ", ".join(repr(x.name) for x in self._impacts)
@@ -303,13 +313,13 @@ class _Impulses:
         return first, self._stage(first.after, shift, self._e * first.impulses[:m])
 
     def _stage(self, before: _Velocity, shift: Array, least: Array) -> _Stage:
-        """Return a stage from its velocity, what is added to rates after it, and N_0."""
+        """Return a stage from the velocity before it, a shift of the rates after it, and N_0."""
         W, w_t = self._rows
         rates = W @ before.value + w_t + shift
         try:
             branch = self._contacts.branch(rates, least)
             if len(self._impacts) == 1 and not branch.pushes[0] and not np.any(least):
-                # Bodies that barely close: the gap keeps the rate that the law gives it.
+                # A gap that closes with a rate of round-off gets the rate of the law.
                 branch = replace(branch, pushes=np.array([True]))
             impulses = branch.impulses(self._contacts, rates, least)
         except ArithmeticError as error:
@@ -323,7 +333,7 @@ class _Impulses:
         return _Stage(branch, least, impulses, _Velocity(value, multiplier, total))
 
     def _tie(self, stages: Sequence[_Stage]) -> str | None:
-        """Return the name of an impact that lies between two branches of a stage."""
+        """Return the name of an impact that lies between two branches of a stage, or None."""
         W, w_t = self._rows
         for number, stage in enumerate(stages):
             rates = W @ stage.after.value + w_t
@@ -338,14 +348,14 @@ class _Impulses:
 def uncoupled(
     system: MechanicalSystem, impacts: Sequence[Impact], state: tuple[float, Array, Array]
 ) -> list[tuple[Impact, ...]]:
-    """Return the impacts in groups whose impulses do not change the rates of other groups' gaps."""
+    """Return the impacts in groups whose impulses do not change rates of other groups' gaps."""
     t, q, _ = state
     W, _ = contact_rows(system, impacts, t, q)
     X, _ = solve(_factored(system, state)[1], W.T, np.zeros((system.n_lam, len(W))))
     C = W @ X
     sizes = np.sqrt(np.abs(np.diag(C)))
     coupled = np.abs(C) > _UNCOUPLED * np.outer(sizes, sizes)
-    rough = [i for i, x in enumerate(impacts) if x.is_rough]
+    rough = [i for i, x in enumerate(impacts) for _ in x.lines]
     for row, i in enumerate(rough, len(impacts)):
         coupled[row, i] = True
     _, group = connected_components(coupled, directed=False)
@@ -358,7 +368,7 @@ def uncoupled(
 def _factored(
     system: MechanicalSystem, state: tuple[complex, Array, Array]
 ) -> tuple[PhaseSystem, Factorization]:
-    """Return the system from a state on, and its factorised matrix of mass and constraints."""
+    """Return the system from a state on, and the factors of [M Phi_q^T; Phi_q 0] there."""
     t, q, v = state
     # The time may have an imaginary part, which constraints of a phase that begins here accept.
     local = PhaseSystem(system, PhaseStart.held(t, q, v, system.n_b), 1.0, first=False)
@@ -373,10 +383,10 @@ def _independent(
     t: complex,
     q: Array,
 ) -> tuple[Impact, ...]:
-    """Return the impacts, in their order, without gaps whose rates follow from those before.
+    """Return the impacts, in their order, without gaps whose rates follow from earlier ones.
 
-    Two gaps of one pair of points close together, and one impulse opens both. InvalidInputError if
-    no motion that the joints allow changes a gap.
+    Two gaps of one pair of points close together, and one impulse opens both. Raises
+    InvalidInputError if no motion that the joints allow changes a gap.
     """
     chosen: list[Impact] = []
     for impact in impacts:

@@ -1,4 +1,4 @@
-"""Events that a run may meet: impacts, switches to another model, and its end."""
+"""Events of a run: impacts, switches to another model, and the end of the run."""
 
 from __future__ import annotations
 
@@ -24,8 +24,7 @@ from ancfdae.sensitivity.observables.observable import Observable
 class Event(abc.ABC):
     """A function of the motion whose zero ends a phase of a run.
 
-    `direction` says which zeros count: 1 where the function rises through zero, -1 where it falls,
-    0 for both. `leads_to` are names of modes that the run may continue with.
+    Subclasses have a `name`, and define `crossing` and `leads_to`.
     """
 
     name: str
@@ -33,7 +32,7 @@ class Event(abc.ABC):
     @property
     @abc.abstractmethod
     def crossing(self) -> tuple[Observable, int]:
-        """The function, and the direction in which it crosses zero."""
+        """The function, and the direction of its zeros: 1 rising, -1 falling, 0 both."""
 
     @property
     def leads_to(self) -> tuple[str, ...]:
@@ -42,7 +41,7 @@ class Event(abc.ABC):
 
 
 def _require(event: Event) -> None:
-    """Refuse an event without a function of the motion, a direction or a name."""
+    """Raise InvalidInputError unless an event has a function, a direction and a name."""
     where, (function, direction) = type(event).__name__, event.crossing
     repair = "For example position(ball.origin, 1) - 0.1, or custom(function)."
     require_kind(f"{where}, function of the event", function, (Observable,), repair)
@@ -55,7 +54,7 @@ def _require(event: Event) -> None:
 @final
 @dataclass(frozen=True, eq=False)
 class EndEvent(Event):
-    """The run ends where an observable becomes zero.
+    """An event that ends the run where an observable becomes zero.
 
     Parameters
     ----------
@@ -76,14 +75,14 @@ class EndEvent(Event):
 
     @property
     def crossing(self) -> tuple[Observable, int]:
-        """The function, and the direction in which it crosses zero."""
+        """The function, and the direction of its zeros: 1 rising, -1 falling, 0 both."""
         return self.function, self.direction
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Switch(Event):
-    """The run continues with another model from where an observable becomes zero.
+    """An event after which the run continues with another model, where an observable becomes zero.
 
     Joints that the other model adds take an impulse where velocities do not satisfy them: the new
     velocities are the nearest ones in the metric of the mass matrix, as at every projected start.
@@ -94,8 +93,8 @@ class Switch(Event):
     function : Observable
         For example ``multiplier("latch", 0)``.
     to : str
-        Name of the mode, among the `modes` of the call, that the run continues with; ``"start"`` is
-        the model that the run began with.
+        Name of the mode, among the `modes` of the call, with which the run continues; ``"start"``
+        is the model with which the run began.
     direction : int
         As in `EndEvent`.
     name : str
@@ -113,17 +112,17 @@ class Switch(Event):
 
     @property
     def crossing(self) -> tuple[Observable, int]:
-        """The function, and the direction in which it crosses zero."""
+        """The function, and the direction of its zeros: 1 rising, -1 falling, 0 both."""
         return self.function, self.direction
 
     @property
     def leads_to(self) -> tuple[str, ...]:
-        """The mode that the run continues with."""
+        """Name of the mode with which the run continues, as a tuple."""
         return (self.to,)
 
 
 class ImpactLaw(Enum):
-    """Laws of restitution.
+    """Laws of restitution of impacts.
 
     NEWTON relates the rates of a gap before and after an impact, u+ = -e u-. POISSON relates
     impulses: bodies are compressed until gaps do not close any more, and the expansion adds at
@@ -145,7 +144,8 @@ class RestModes:
     sticks : str, optional
         Name of the mode if the bodies stick together in the last impact.
     forward, backward : str, optional
-        Names of the modes if they slide in it, with a positive or negative sliding velocity.
+        Names of the modes if they slide in it, with a positive or negative sliding velocity; with a
+        cone of friction `forward` for all directions.
     """
 
     sticks: str | None = None
@@ -159,11 +159,11 @@ class RestModes:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the modes that are given."""
+        """Names of the modes in which the gap stays closed."""
         return tuple(x for x in (self.sticks, self.forward, self.backward) if x is not None)
 
     def after(self, slides: float) -> str | None:
-        """Return the name of the mode after an impact that slides with a sign; 0 sticks."""
+        """Return the mode after an impact whose sliding velocity has this sign; 0 for sticking."""
         if slides == 0:
             return self.sticks
         return self.forward if slides > 0 else self.backward
@@ -178,10 +178,11 @@ class Impact(Event):
     the restitution e, velocities jump by
 
         M (v+ - v-) + Phi_q^T mu = g_q^T P + s_v^T T,   Phi_q v+ = nu,   u+ = -e u-,
-        |T| <= friction * P,   T = -friction * P * sign(s+) where s+ is not zero.
+        |T| <= friction * P,   T = -friction * P * s+/|s+| where s+ is not zero.
 
-    P is the impulse along the normal, and T along the line of sliding. Gaps that close at the same
-    time share one system of equations; with friction or by Poisson's law all closed gaps do.
+    P is the impulse along the normal, and T along the line or in the plane of sliding. Gaps that
+    close at the same time share one system of equations; with friction or by Poisson's law all
+    closed gaps do.
 
     Parameters
     ----------
@@ -201,10 +202,10 @@ class Impact(Event):
     friction : float or Observable
         Coefficient of Coulomb's friction in the impact, from 0 on; dimensionless. An observable is
         taken in the state before the impact, as the restitution.
-    sliding : Observable, optional
+    sliding : Observable or pair of Observable, optional
         Velocity of one contact point relative to the other along the surface, linear in the
-        velocities, for example ``velocity(ball.at(0, -0.1), 0)``. Friction needs it. In space
-        friction acts along this one line.
+        velocities, for example ``velocity(ball.at(0, -0.1), 0)``. Friction needs it. In space two
+        of them, along lines at a right angle, give a cone of friction; one gives a guide.
     law : ImpactLaw
         Law of restitution.
     """
@@ -214,7 +215,7 @@ class Impact(Event):
     name: str = "impact"
     rest: str | RestModes | None = None
     friction: float | Observable = 0.0
-    sliding: Observable | None = None
+    sliding: Observable | tuple[Observable, Observable] | None = None
     law: ImpactLaw = ImpactLaw.NEWTON
 
     def __post_init__(self) -> None:
@@ -227,10 +228,13 @@ class Impact(Event):
             if not isinstance(value, Observable):
                 require_not_negative(f"Impact.{field}", value, repair)
         require_kind("Impact.law", self.law, (ImpactLaw,), "Use ImpactLaw.NEWTON or POISSON.")
-        if self.sliding is not None:
-            repair = "For example velocity(point, 0). Two directions of sliding are not supported."
-            require_kind("Impact.sliding", self.sliding, (Observable,), repair)
-        if self.is_rough != (self.sliding is not None):
+        for line in self.lines:
+            repair = "For example velocity(point, 0), or a pair of them in space."
+            require_kind("Impact.sliding", line, (Observable,), repair)
+        if len(self.lines) > 2:
+            rule, repair = "must be one observable or two", "A surface has two directions."
+            raise InvalidInputError("Impact.sliding", rule, len(self.lines), repair)
+        if self.is_rough != (len(self.lines) > 0):
             rule = "must be given together with a friction coefficient above zero"
             got = "friction without it" if self.is_rough else "no friction"
             raise InvalidInputError("Impact.sliding", rule, got, "For example velocity(point, 0).")
@@ -242,15 +246,22 @@ class Impact(Event):
 
     @property
     def crossing(self) -> tuple[Observable, int]:
-        """The gap, which falls through zero."""
+        """The gap, and -1, because an impact happens where the gap falls through zero."""
         return self.gap, -1
 
     @property
     def leads_to(self) -> tuple[str, ...]:
-        """The modes in which the gap stays closed, if there are any."""
+        """Names of the modes in which the gap stays closed; empty without any."""
         if isinstance(self.rest, RestModes):
             return self.rest.names
         return () if self.rest is None else (self.rest,)
+
+    @property
+    def lines(self) -> tuple[Observable, ...]:
+        """The velocities of sliding: none, one along a line, two in a plane."""
+        if self.sliding is None:
+            return ()
+        return self.sliding if isinstance(self.sliding, tuple) else (self.sliding,)
 
     @property
     def is_rough(self) -> bool:
@@ -259,7 +270,7 @@ class Impact(Event):
 
     @property
     def takes_all(self) -> bool:
-        """Whether all closed gaps take part in the impact, those that do not close, too."""
+        """Whether all closed gaps take part in the impact, even those that are not closing."""
         return self.is_rough or self.law is ImpactLaw.POISSON
 
     def rest_after(self, slides: float) -> str | None:
@@ -270,7 +281,7 @@ class Impact(Event):
 @final
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A model with the events that count while the run is on it.
+    """A model with the events that apply while the run is in this mode.
 
     All modes of a run have the same bodies in the same order, so that they have the same
     coordinates, and the same design variables. They differ in joints, loads and laws.
@@ -290,7 +301,7 @@ class Mode:
 
 
 class ModeSystem(NamedTuple):
-    """A mode of a run: its name, its system, and its events."""
+    """A mode of a run: its name, its assembled system, and its events."""
 
     name: str
     system: MechanicalSystem
@@ -298,7 +309,7 @@ class ModeSystem(NamedTuple):
 
 
 def require_events(events: object) -> tuple[Event, ...]:
-    """Return events as a tuple; refuse other things, and two of one name."""
+    """Return events as a tuple; raise InvalidInputError for other objects or equal names."""
     given = require_each("events", events, (Event,), "Pass Impact, EndEvent or Switch.")
     names = [event.name for event in given]
     require_unique("events", "must have different names", names, "Write name=...")

@@ -1,8 +1,9 @@
 """A run with events at a complex design: the phases of a real run with imaginary parts.
 
-The complex step differentiates whole runs, events included. A phase at the imaginary step in the
-design misses its event by Im g. A phase of the real system whose duration has an imaginary step
-gives the rate of g in D. No derivative of the motion with respect to the design is used here.
+The complex step differentiates whole runs, events included. With an imaginary step in the design
+the function g of the event that ends a phase has the value i Im g there. A phase of the real system
+whose duration D has an imaginary step gives g_D, and D changes by -i Im g / g_D. Derivatives of the
+motion with respect to the design are not used.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from ancfdae.events.functions import in_time
 from ancfdae.events.kinds import ModeSystem
 from ancfdae.events.objectives import PhaseStates
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
-from ancfdae.events.run import Jump, Phase, PhasedRun
+from ancfdae.events.phases import Jump, Phase, PhasedRun
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.sensitivity.method import finished
 from ancfdae.sensitivity.observables.observable import Observable, States
@@ -27,9 +28,9 @@ State = tuple[complex, Array, Array]
 
 
 def at_complex(run: PhasedRun, b: Array, late: float = 0.0) -> list[PhaseStates]:
-    """Return the states of all phases of a run at a complex design near its own.
+    """Return the states of all phases of a run at a complex design b near its own.
 
-    The end of the run has the imaginary part `late`.
+    The end time of the run has the imaginary part `late`.
     """
     systems: dict[str, MechanicalSystem] = {}
 
@@ -54,7 +55,7 @@ def at_complex(run: PhasedRun, b: Array, late: float = 0.0) -> list[PhaseStates]
 
 
 def _duration(phase: Phase, system: MechanicalSystem, state: State, late: float) -> complex:
-    """Return the duration of a phase at the complex design."""
+    """Return the duration of a phase at a complex design, s; its event moves with the design."""
     if phase.event is None:
         return phase.t_end + 1j * late - state[0]
     D, function = phase.duration, phase.event.crossing[0]
@@ -79,7 +80,7 @@ def _at_end(
 def _states(
     phase: Phase, system: MechanicalSystem, state: State, D: complex
 ) -> tuple[PhaseStates, State]:
-    """Integrate a phase from a state; return its states, and the last one."""
+    """Integrate a phase from a state for the duration D; return its states, and the last one."""
     t, q, v = state
     start = PhaseStart.held(t, q, v, system.n_b)
     local = PhaseSystem(system, start, D, phase.first)
@@ -90,7 +91,7 @@ def _states(
 
 
 def _jumped(moved: Callable[[ModeSystem], MechanicalSystem], jump: Jump, state: State) -> State:
-    """Return the state after a jump of modes at a complex design."""
+    """Return the state after a jump whose modes are at a complex design."""
     for strike in jump.strikes:
         state = strike.at_complex(moved(strike.mode), state)
     return state

@@ -38,8 +38,8 @@ from ancfdae.equations import (
     planned,
 )
 from ancfdae.equations.contact_record import ContactRecord, MissedContact
+from ancfdae.equations.plans import CalledPlan, ListPlan, Plan
 from ancfdae.equations.system import States, called_plan, constraint_q_along, residual_along
-from ancfdae.kernels import CalledPlan, ListPlan, Plan
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.complex_step import scaled_derivative
 
@@ -53,7 +53,7 @@ class PhaseStart(NamedTuple):
     """Time, coordinates and velocities at the start of a phase, with derivatives.
 
     The derivatives t_b (n,), q_b and v_b (n_q, n) are with respect to the design variables of the
-    system and, if there are more columns, to further numbers that only starts depend on.
+    system and, if there are more columns, to further numbers on which only starts depend.
     """
 
     t: complex
@@ -65,12 +65,12 @@ class PhaseStart(NamedTuple):
 
     @staticmethod
     def held(t: complex, q: Array, v: Array, n_b: int) -> PhaseStart:
-        """Return a start that does not depend on the design."""
+        """Return a phase start t, q, v that does not depend on the design."""
         none = np.zeros((len(q), n_b))
         return PhaseStart(t, q, v, np.zeros(n_b), none, none)
 
     def free(self, n_b: int) -> PhaseStart:
-        """Return the start whose t, q and v are 1 + 2 n_q further design variables themselves."""
+        """Return the start with its t, q and v as 1 + 2 n_q additional design variables."""
         n = len(self.q)
         ahead, unit = np.zeros((n, n_b + 1)), np.eye(n)
         q_b = np.hstack([ahead, unit, 0 * unit])
@@ -81,7 +81,7 @@ class PhaseStart(NamedTuple):
 
 @final
 class PhaseSystem(LaterSystem):
-    """A system from the start of a phase on; see the module description.
+    """A system from the start of a phase on, in the time of the phase; see the module.
 
     Its design variables are the variables of the system, then D, then further numbers of the start.
     `first` is True for the phase that begins with the start of the system. This start is projected
@@ -113,7 +113,7 @@ class PhaseSystem(LaterSystem):
     # -- the start, and other values of the design -------------------------------------------------
 
     def with_values(self, b: Array) -> PhaseSystem:
-        """Return the same phase at other values, to which the start goes along its derivatives."""
+        """Return the same phase at other values b; the start follows along its derivatives."""
         n = self._ahead
         return self._moved(self.base.with_values(b[:n]), np.asarray(b) - self.b)
 
@@ -137,7 +137,10 @@ class PhaseSystem(LaterSystem):
         return {}
 
     def _total(self, value: Callable[..., Array], *states: tuple[Array, Array]) -> Array:
-        """Differentiate, shape (m, n_b); numbers of the start act through the states only."""
+        """Return total design derivatives of `value`, (m, n_b), at `states`, pairs of x and x_b.
+
+        Numbers of the start act through states only.
+        """
         n = self._ahead
         moved = np.zeros(self.n_b, dtype=bool)
         moved[: n + 1] = True
@@ -151,7 +154,7 @@ class PhaseSystem(LaterSystem):
         return total
 
     def start(self) -> tuple[Array, Array]:
-        """Return q_0 and w_0 = sigma v_0."""
+        """Return the start of the phase in its own time: q_0 and w_0 = sigma v_0, (n_q,) each."""
         return self._start.q, self._scale * self._start.v
 
     def start_b(self) -> tuple[Array, Array]:
@@ -161,12 +164,12 @@ class PhaseSystem(LaterSystem):
         return np.insert(q_b, n, none, axis=1), np.insert(v_b, n, stretch, axis=1)
 
     def _time(self, tau: float) -> tuple[float, float]:
-        """Return the time of the system, and its imaginary part where the design is complex."""
+        """Return the time of the system, s, and its imaginary part at a complex design."""
         t = complex(self._start.t + self._scale * tau)
         return t.real, t.imag
 
     def _times(self, tau: Array) -> Array:
-        """Return times of the system, shape (k,)."""
+        """Return times of the system, shape (k,), s, from times of the phase."""
         return np.real(self._start.t + self._scale * tau)
 
     @cached_property
@@ -181,14 +184,14 @@ class PhaseSystem(LaterSystem):
         return None if own is None else _PhaseContacts(self, own)
 
     def states_of(self, tau: Array, *states: Array) -> tuple[Array, ...]:
-        """Return time, q and v of the system from tau, q and w of the phase, rows."""
+        """Return time, q and v of the system from tau, q and w of the phase, as rows."""
         return self._times(tau), *states[:1], *(x.real for x in self._rates(*states[1:]))
 
     # -- values ------------------------------------------------------------------------------------
 
     @property
     def later_plan(self) -> Plan | ListPlan | CalledPlan:
-        """The plan of the system, whose time begins at t_0; functions at a complex design."""
+        """The plan of the system with time from t_0 on; callbacks at a complex design."""
         own, t_0 = planned(self.base), float(np.real(self._start.t))
         if isinstance(own, CalledPlan) or np.iscomplexobj(self.b):
             return called_plan(self)
@@ -199,11 +202,11 @@ class PhaseSystem(LaterSystem):
         return own._replace(joint_factors=shifted, load_factors=lambda t: loads(t_0 + t))
 
     def mass(self, q: Array) -> Array:
-        """Return the values of M / sigma^2 on the pattern, shape (nnz,)."""
+        """Return the mass matrix in phase time, M / sigma^2, entries on the pattern, (nnz,)."""
         return self._slowed(self.base.mass(q))
 
     def mass_along(self, q: Array, dq: Array) -> Array:
-        """Differentiate M / sigma^2 along dq, shape (nnz,)."""
+        """Return the derivative of M / sigma^2 along dq, shape (nnz,)."""
         return self._slowed(self.base.mass_along(q, dq))
 
     def mass_times(self, q: Array, x: Array) -> Array:
@@ -214,19 +217,19 @@ class PhaseSystem(LaterSystem):
         return M if self._scale == 1 else M / self._scale**2
 
     def _rates(self, *rates: Array) -> tuple[Array, ...]:
-        """Return (v, a, ...) from (w, alpha, ...)."""
+        """Return rates of the system, (v, a, ...), from rates in phase time, (w, alpha, ...)."""
         if self._scale == 1:
             return rates
         return tuple(x / self._scale ** (k + 1) for k, x in enumerate(rates))
 
     def force(self, t: float, q: Array, v: Array) -> Array:
-        """Return Q(t_0 + sigma tau, q, w / sigma)."""
+        """Return the force Q(t_0 + sigma tau, q, w / sigma), shape (n_q,)."""
         (time, late), (v,) = self._time(t), self._rates(v)
         Q = self.base.force(time, q, v)
         return Q + 1j * late * self.base.force_along(time, q, v, _in_time(q)) if late else Q
 
     def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
-        """Differentiate Q along a direction of (tau, q, w)."""
+        """Return the derivative of Q along a direction of (tau, q, w), shape (n_q,)."""
         (v,), (dv,) = self._rates(v), self._rates(direction.v)
         # Its part in time may be complex as its other parts are.
         dt: Any = self._scale * direction.t
@@ -246,9 +249,9 @@ class PhaseSystem(LaterSystem):
         return value if self._scale == 1 else self._scale ** len(rates) * value
 
     def _over_time(self, tau: float, value: Callable[[float], Array]) -> Array:
-        """Return a value, in its shape, at a time whose imaginary part is a first-order change.
+        """Return a value, in its shape, at time tau; an imaginary part acts to first order.
 
-        Laws of time need not accept complex numbers, and know three derivatives only.
+        Laws of time need not accept complex numbers, and have three derivatives only.
         """
         time, late = self._time(tau)
         now = value(time)
@@ -257,12 +260,12 @@ class PhaseSystem(LaterSystem):
         return now + 1j * late * scaled_derivative(lambda s: value(time + s))
 
     def _stands_still(self, value: Callable[[float], Array], time: float, now: Array) -> bool:
-        """Whether a value is the same at some times beside this one."""
+        """Return whether a function of time has the same value at some neighbouring times."""
         D = float(np.real(self._duration))
         return all(np.array_equal(value(time + x * D), now) for x in _BESIDE)
 
     def linearise(self, t: Array, q: Array, v: Array | None, a: Array, lam: Array) -> Linearisation:
-        """Return the Jacobians of the system; at a complex design they serve Newton's method."""
+        """Return the Jacobians of the system, which serve Newton's method at a complex design."""
         return self.base.linearise(self._times(t), q, v, a, lam)
 
     def constraints_q(self, t: Array, *motion: Array) -> Array:
@@ -274,7 +277,7 @@ class PhaseSystem(LaterSystem):
     def design_partials(
         self, t: Array, q: Array, v: Array | None, a: Array, lam: Array
     ) -> DesignPartials:
-        """Return the partials of f and Phi at k time points; if v is None without the force Q."""
+        """Return the partials of f and Phi at k time points; without the force Q if v is None."""
         n, time = self._ahead, self._times(t)
         own = self.base.design_partials(time, q, v, a, lam)
         f_t, f_scale, Phi_t = self._partials_in_time(time, q, v, a, lam)
@@ -289,7 +292,7 @@ class PhaseSystem(LaterSystem):
     def _partials_in_time(
         self, time: Array, q: Array, v: Array | None, a: Array, lam: Array
     ) -> tuple[Array, Array, Array]:
-        """Return f_t, f_sigma at a held time, and Phi_t at k time points, rows."""
+        """Return f_t, f_sigma at a fixed time, and Phi_t at k time points, as rows."""
         base, still = self.base, np.zeros_like(q[0])
         f_t, f_scale, Phi_t = np.zeros_like(a), np.zeros_like(a), np.zeros_like(lam)
         for k, s in enumerate(time.tolist()):
@@ -401,14 +404,14 @@ class PhaseSystem(LaterSystem):
         return on_q, on_v, on_b
 
     def _in_start_and_length(self, value: Callable[[PhaseSystem], Array]) -> Array:
-        """Return the derivative of a value at a held state in t_0 and sigma, shape (..., n_b)."""
+        """Return the derivative of a value in t_0 and sigma, fixed state, (..., n_b)."""
         t_b, scale_b = self.time_b
         late, long = (np.imag(value(phase)) / STEP for phase in self._later_and_longer)
         return np.asarray(np.multiply.outer(late, t_b) + np.multiply.outer(long, scale_b))
 
     @cached_property
     def _later_and_longer(self) -> tuple[PhaseSystem, PhaseSystem]:
-        """The phase with small imaginary steps of t_0, and of sigma."""
+        """The phase with a small imaginary step of t_0, and with one of sigma."""
         later = self._start._replace(t=self._start.t + 1j * STEP)
         first = PhaseSystem(self.base, later, self._duration, self._first)
         second = PhaseSystem(self.base, self._start, self._duration, self._first)
@@ -418,7 +421,7 @@ class PhaseSystem(LaterSystem):
     # -- what is known of the system ---------------------------------------------------------------
 
     def require_derivatives_at(self, t: float, q: Array, v: Array) -> None:
-        """Refuse functions that are called and lack a derivative at a state."""
+        """Raise InvalidInputError if a called function has no derivative at a state."""
         self.base.require_derivatives_at(self._time(t)[0], q, v)
 
     def breakpoints(self, t_end: float) -> tuple[float, ...]:
@@ -427,43 +430,43 @@ class PhaseSystem(LaterSystem):
         return tuple(t - t_0 for t in self.base.breakpoints(t_0 + t_end))
 
     def over_time(self, t: Array) -> Array:
-        """Return how forces and constraints of the system depend on time, shape (k, n)."""
+        """Return samples of forces and constraints that depend on time, shape (k, n)."""
         return self.base.over_time(self._times(t))
 
     def centred(self, q: Array) -> Array:
-        """Return coordinates, (n_q,), that do not change if the system stands elsewhere."""
+        """Return coordinates, (n_q,), that do not depend on where the system stands."""
         return self.base.centred(q)
 
     def folded(self, q: Array) -> str:
-        """Say which parts are folded at q."""
+        """Return the names of parts that are folded at q, as text."""
         return self.base.folded(q)
 
     def coarse(self, q: Array) -> dict[str, float]:
-        """Return the parts whose mesh is too coarse at q."""
+        """Return the parts whose mesh is too coarse at q, with the measure of it."""
         return self.base.coarse(q)
 
     def strained(self, q: Array) -> dict[str, float]:
-        """Return the parts strained beyond the range of their laws at q."""
+        """Return the parts strained beyond the range of their laws at q, with their strains."""
         return self.base.strained(q)
 
     def stress_force(self, q: Array) -> Array:
-        """Return the part of Q at rest, (n_q,), that vanishes where bodies are free of stress."""
+        """Return the part of Q at rest, (n_q,), that vanishes in bodies free of stress."""
         return self.base.stress_force(q)
 
     def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
-        """Return the loads that turn with the motion, and their Jacobian."""
+        """Return the follower loads at tau and q, (n_q,), and their Jacobian, (nnz,)."""
         return self.base.following_load(self._time(t)[0], q)
 
     def off_root(self, t: Array, q: Array) -> tuple[int, str] | None:
-        """Return the first state, of k, in which a constraint holds at a wrong root."""
+        """Return the first of k states in which a constraint holds at a wrong root."""
         return self.base.off_root(self._times(t), q)
 
     def mirrored(self, q: Array) -> tuple[int, str] | None:
-        """Return the first state that is mirrored or folded."""
+        """Return the first of k states in which a part is mirrored or folded."""
         return self.base.mirrored(q)
 
     def off_route(self, t: Array, q: Array, v: Array) -> tuple[int, str] | None:
-        """Return the first state up to which a part has left its route."""
+        """Return the first of k states in which a guide or rope has left its route."""
         return self.base.off_route(self._times(t), q, v)
 
     def turn_rate(self, t: Array) -> Array:
@@ -472,27 +475,27 @@ class PhaseSystem(LaterSystem):
 
 
 def _in_time(q: Array) -> StateDirection:
-    """Return the direction of time with the state held."""
+    """Return the direction of time at a fixed state."""
     return StateDirection(1.0, np.zeros_like(q), np.zeros_like(q))
 
 
 @final
 class _PhaseContacts(ContactRecord):
-    """The contacts of a phase, whose time begins at the start of the phase."""
+    """The contact record of a phase, in the time of the phase."""
 
     def __init__(self, phase: PhaseSystem, own: ContactRecord) -> None:
         self._phase, self._own = phase, own
 
     def follow(self, t: Array, q: Array, v: Array) -> None:
-        """Look at the next states of the phase."""
+        """Record the next states of the phase."""
         self._own.follow(*self._phase.states_of(t, q, v))
 
     def passes(self, t: Array, q: Array, v: Array) -> bool:
-        """Whether surfaces touch between two time points of the phase."""
+        """Return whether surfaces touch between two time points of the phase."""
         return self._own.passes(*self._phase.states_of(t, q, v))
 
     def missed(self) -> MissedContact | None:
-        """Return the first contact that the steps of the phase miss."""
+        """Return the first contact that the steps of the phase miss; None without one."""
         missed = self._own.missed()
         if missed is None:
             return None

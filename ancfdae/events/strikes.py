@@ -1,12 +1,13 @@
-"""Impacts one after the other at one time, and the times that pass between them beside the design.
+"""Impacts one after the other at one time, and derivatives of the times between them.
 
-Impacts of bodies that do not act on each other may coincide at one design only. Each has a time of
-its own then. Between two such impacts no time passes at this design, but the time has a derivative.
-With the gap g of the second impact, its rate u = g_q v + g_t, and the state (q, v) after the first,
+Impacts of bodies that do not act on each other may coincide at one design only. Each then has a
+time of its own. Between two such impacts no time passes at this design, but the time has a
+derivative. With the gap g of the second impact, its rate u = g_q v + g_t, and the state (q, v)
+after the first,
 
     D_b = -(g_q q_b + g_t t_b + g_b) / u,   q_b + v D_b,   v_b + a D_b,   t_b + D_b,
 
-where a are the accelerations that the equations of motion give there.
+where a are the accelerations from the equations of motion in this state.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ from ancfdae.numerics.arrays import Array
 
 State = tuple[complex, Array, Array]
 
-# Derivatives that the order of impacts changes by more than this part of them depend on it.
+# Derivatives depend on the order of impacts if it changes them by more than this fraction.
 _ORDER = 1e-6
-# A second derivative of a gap below this part of its terms is round-off.
+# A second derivative of a gap counts as zero below this fraction of its terms.
 _PRESSED = 1e-9
 
 
@@ -47,18 +48,18 @@ class Wait:
 
     @staticmethod
     def until(impact: Impact, system: MechanicalSystem, state: State) -> Wait:
-        """Return the time from a state until an impact."""
+        """Return the time from a state until an impact, with the data for its derivative."""
         t, q, v = float(np.real(state[0])), state[1], state[2]
         p = gap_partials(system, impact, (t, q, v))
         return Wait(p, float(p.q @ v + p.t), v, allowed(system, t, q, v).a)
 
     def change(self, moved: Directions) -> Array:
-        """Return the derivatives of the time along directions, (k,)."""
+        """Return the derivatives of the time before an impact along directions, (k,)."""
         p = self.gap
         return -(p.t * moved.t + p.q @ moved.q + p.b @ moved.b) / self.rate
 
     def along(self, moved: Directions) -> Directions:
-        """Return the directions in which the state moves at the end of the time."""
+        """Return the directions in which the state moves at the end of this time."""
         D = self.change(moved)
         q, v = moved.q + np.outer(self.v, D), moved.v + np.outer(self.a, D)
         return Directions(moved.t + D, q, v, moved.b)
@@ -67,7 +68,7 @@ class Wait:
 @final
 @dataclass(frozen=True)
 class Strike:
-    """Impacts solved together in a mode, and the time that passes before them beside the design."""
+    """Impacts solved together in a mode, and the time before them at neighbouring designs."""
 
     mode: ModeSystem
     struck: Struck
@@ -77,7 +78,7 @@ class Strike:
     def of(
         mode: ModeSystem, impacts: Sequence[Impact], plastic: bool, state: State, *, apart: bool
     ) -> Strike:
-        """Solve impacts from a state; `apart` from the impacts before, they have their own time."""
+        """Solve impacts at a state; if `apart` from earlier ones they have a time of their own."""
         wait = Wait.until(impacts[0], mode.system, state) if apart else None
         return Strike(mode, struck(mode.system, impacts, plastic, state), wait)
 
@@ -109,13 +110,13 @@ class Strike:
 
 
 def allowed(system: MechanicalSystem, t: float, q: Array, v: Array) -> InitialState:
-    """Return the consistent state that the joints of a system allow next to a given one."""
+    """Return the consistent state of a system that is nearest to q, v at time t."""
     start = PhaseStart.held(t, q, v, system.n_b)
     return InitialValueProblem.of(PhaseSystem(system, start, 1.0, first=False), 1.0).initial
 
 
 def is_pressed(system: MechanicalSystem, impact: Impact, state: tuple[float, Array, Array]) -> bool:
-    """Whether the accelerations in a state close a gap: g'' = g_q a + (g_q)' v + (g_t)' < 0."""
+    """Return whether accelerations close a gap: g'' = g_q a + (g_q)' v + (g_t)' < 0."""
     t, q, v = state
     a = allowed(system, t, q, v).a
     g_q, _ = gap_rows(system, impact.gap, np.array([t]), q[None])
@@ -130,7 +131,7 @@ def is_pressed(system: MechanicalSystem, impact: Impact, state: tuple[float, Arr
 
 
 def order_matters(strikes: Sequence[Strike], moved: Directions) -> bool:
-    """Whether derivatives change if impacts with times of their own happen the other way round."""
+    """Return whether derivatives change if impacts with times of their own swap their order."""
     turned, (t, q, v) = list[Strike](), strikes[0].struck.state
     for strike in reversed(strikes):
         same = strike.struck.impacts, strike.struck.plastic
@@ -143,7 +144,7 @@ def order_matters(strikes: Sequence[Strike], moved: Directions) -> bool:
 
 
 def _at_held_time(strikes: Sequence[Strike], moved: Directions) -> tuple[Array, Array]:
-    """Return derivatives of q and v after impacts at a time that the design does not move."""
+    """Return derivatives of q and v after impacts at a time that does not depend on the design."""
     for strike in strikes:
         moved, _ = strike.along(moved)
     last = strikes[-1].struck

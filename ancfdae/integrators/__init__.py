@@ -1,1 +1,1 @@
-"""Integrators, and the consistent start that all of them share."""
+"""Integrators of the equations of motion, and the consistent start that all of them share."""

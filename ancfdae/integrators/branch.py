@@ -1,14 +1,14 @@
-"""Whether steps stay on the branch of the constraints on which the motion runs.
+"""Whether the steps of a motion stay on its branch of the constraints Phi(t, q) = 0.
 
 Phi(t, q) = 0 holds on several branches: the open and the crossed four-bar, a slider-crank on both
-sides of its dead point. They part where Phi_q loses rank. Let B be Phi_q at a place c of the
+sides of its dead point. They part where Phi_q loses rank. Let B be Phi_q at a state c of the
 motion, W the diagonal of the weights and P = W^-1 B^T (B W^-1 B^T)^-1, so that B P = I. Then
 
     X(t, q) = (Phi_q(t, q) - B) P,      Phi_q(t, q) P = I + X,
 
-and Phi_q has full rank wherever norm(X) < 1. Let constraints be quadratic in q; for formulas what
-follows is a rule without proof. Halfway between two solutions of one time Phi_q has not full
-rank, for
+and Phi_q has full rank wherever norm(X) < 1. Let constraints be quadratic in q; for constraints
+given as formulas the following is a rule without proof. Halfway between two solutions of one time
+Phi_q has not full rank, for
 
     0 = Phi(t, q_1) - Phi(t, q_2) = Phi_q(t, (q_1 + q_2)/2) (q_1 - q_2),
 
@@ -18,7 +18,8 @@ branch of c. Any other step is followed in parts for which this holds,
     Phi(t, q) = 0 from t_n to t_n+1 along q' = -P Phi_t + (I - P Phi_q) d,
 
 where d leads to the cubic through the positions and velocities at the ends of the step: the motion
-in the directions that constraints leave free. What is reached at t_n+1 must be the solution.
+in the directions that constraints leave free. The step is right if the state that this path reaches
+at t_n+1 is its solution.
 """
 
 from __future__ import annotations
@@ -34,39 +35,38 @@ from ancfdae.equations.saddle_points import velocity_side
 from ancfdae.kernels import finite, norm
 from ancfdae.numerics.arrays import Array
 
-# Places that the free motion is to pass, by time.
+# Coordinates, (n_q,), that the motion in the free directions is to pass, as a function of time.
 Aim: TypeAlias = Callable[[float], Array]
 
 # Largest norm of X on one branch: half of the least at which it may be another.
 CHANGED = 0.5
-# A part of a step is taken if Newton's first correction is below this part of its length (then the
-# second is below its square) and the ones after it shrink at least as fast; it is the shorter for
-# not being taken, down to this share of the time to go.
+# A part of a step is accepted if Newton's first correction is below _CURVED times its length (then
+# the second is below its square) and later corrections shrink at least as fast. A rejected part is
+# shortened, down to _SHORTEST times the remaining time.
 _CURVED, _SHORTEST, _ITERATIONS = 0.1, 1e-9, 8
-# Corrections below this part of the coordinates are round-off, or nothing.
+# Corrections below SMALL times the norm of the coordinates are round-off.
 SMALL = 1e-11
-# Places that differ by more than this part of the way are not the same.
+# Two configurations differ if their distance exceeds APART times the distance that a step moves.
 APART = 1e-3
-# Moves along constraints from the end of a followed path towards the solution there: nearly half a
-# turn away they begin as small as the rest of it, and double.
+# Most moves along the constraints from the end of a followed path towards the solution of the step:
+# from nearly half a turn away the moves begin tiny, and double.
 _MOVES = 400
-# Up to this number of constraints matrices are dense; above it norms are estimated by this number
-# of products.
+# Up to _DENSE constraints matrices are dense; above, norm(X) is estimated by _PRODUCTS products.
 _DENSE, _PRODUCTS = 100, 4
-# Powers of matrices are taken together that have this many entries: more would wait in vain for the
-# first that is far.
+# Powers of X are formed for several states at once, of _NUMBERS entries in total: only the states
+# up to the first with norm(X) > CHANGED matter, so a larger batch would be wasted.
 _NUMBERS = 1000
-# Phi_q has not full rank if its triangular factor has diagonals of this ratio.
+# Phi_q has not full rank if the ratio of the diagonals of its triangular factor is below this.
 _SINGULAR = 1e-13
 
 
 @final
 class Form:
-    """Scales by which coordinates and rows of Phi_q are compared, whatever their units.
+    """Scales that make coordinates and rows of Phi_q comparable, independent of their units.
 
-    Coordinates are sqrt(w_i) q_i; rows have the length one in them at a first place of the motion.
-    `taken` are the constraints that are looked at, all or a mask (n_lam,); `used` are the
-    coordinates that stand in them.
+    Coordinates are scaled as sqrt(w_i) q_i; rows of Phi_q have length one in these coordinates at
+    the first state of the motion. `taken` is a mask, (n_lam,), of the constraints that are
+    examined; `used` are the indices of the coordinates that occur in them.
     """
 
     def __init__(self, system: MechanicalSystem, values: Array, taken: Array | None = None) -> None:
@@ -87,13 +87,13 @@ class Form:
         self._flat = self.rows * len(self.used) + self.columns
 
     def matrices(self, rows: Array) -> Array:
-        """Return rows of values of Phi_q as matrices, (k, n_lam, n_used)."""
+        """Return scaled matrices Phi_q, (k, n_lam, n_used), from rows of entries, (k, nnz)."""
         matrices = np.zeros((len(rows), self.shape[0] * self.shape[1]))
         matrices[:, self._flat] = rows[:, self._entries] * self._scale
         return matrices.reshape(-1, *self.shape)
 
     def sparse(self, values: Array) -> scipy.sparse.csr_array:
-        """Return values of Phi_q as a sparse matrix."""
+        """Return the scaled matrix Phi_q, (n_lam, n_used), sparse, from its entries, (nnz,)."""
         places = self.rows, self.columns
         return scipy.sparse.csr_array(
             (values[self._entries] * self._scale, places), shape=self.shape
@@ -102,13 +102,13 @@ class Form:
 
 @final
 class Place:
-    """A reference state c of the motion: Phi_q there, (nnz,), and its right inverse P."""
+    """A reference state c of the motion: entries of Phi_q at c, (nnz,), and its right inverse P."""
 
     def __init__(self, form: Form, values: Array) -> None:
         self._form, self._values = form, values
         self._P: Array | None = None
         self._factors: scipy.sparse.linalg.SuperLU | None = None
-        # Of X, so that its norm is nearly its largest eigenvalue.
+        # Factors that balance X, so that its norm is nearly its largest eigenvalue.
         self._balance: Array | None = None
         if form.shape[0] <= _DENSE:
             self._P = self._pseudo_inverse()
@@ -116,7 +116,7 @@ class Place:
             self._factors = self._factorised()
 
     def changes(self, rows: Array) -> Array:
-        """Return norm(X) for rows of values of Phi_q, shape (k,); infinite if P is missing."""
+        """Return norm(X), (k,), for k rows of entries of Phi_q; infinite if P does not exist."""
         changes = rows - self._values
         if self._factors is not None:
             sizes = np.array([self._estimated(x) for x in changes])
@@ -127,7 +127,7 @@ class Place:
         return np.where(np.isfinite(sizes), sizes, np.inf)
 
     def _norms(self, changes: Array) -> Array:
-        """Return norms of X, where these are large balanced, then nearly its largest eigenvalue."""
+        """Return norm(X), (k,); after balancing where it is large, near the largest eigenvalue."""
         n_lam, n_used = self._form.shape
         X = self._form.matrices(changes).reshape(-1, n_used) @ self._P
         X = X.reshape(-1, n_lam, n_lam)
@@ -167,7 +167,7 @@ class Place:
         return x if finite(x) else None
 
     def _pseudo_inverse(self) -> Array | None:
-        """Return P, None where Phi_q has not full rank."""
+        """Return P, shape (n_used, n_lam), dense; None where Phi_q has not full rank."""
         n_lam, n_used = self._form.shape
         if n_used < n_lam:
             return None
@@ -180,7 +180,7 @@ class Place:
         return np.asarray(lapack.dtrtrs(QR[:n_lam], lapack.dorgqr(QR, tau)[0].T)[0].T)
 
     def _factorised(self) -> scipy.sparse.linalg.SuperLU | None:
-        """Return the factors of [I B^T; B 0], sparse; None if it is singular."""
+        """Return the sparse factors of [I B^T; B 0]; None if this matrix is singular."""
         B, one = self._form.sparse(self._values), scipy.sparse.eye_array(self._form.shape[1])
         try:
             return scipy.sparse.linalg.splu(scipy.sparse.bmat([[one, B.T], [B, None]], "csc"))
@@ -188,13 +188,13 @@ class Place:
             return None
 
     def _lifted(self, y: Array) -> Array:
-        """Return P y, shape (n_used,), by the sparse factors."""
+        """Return P y, the least coordinate change x with Phi_q x = y, (n_used,)."""
         assert self._factors is not None
         n_used = self._form.shape[1]
         return np.asarray(self._factors.solve(np.concatenate([np.zeros(n_used), y]))[:n_used])
 
     def _estimated(self, change: Array) -> float:
-        """Return the growth in the last of some products with X."""
+        """Estimate the largest eigenvalue of X by the growth of a vector in some products."""
         change_B, size = self._form.sparse(change), 0.0
         y = np.cos(np.arange(self._form.shape[0]))  # no eigenvector of anything
         for _ in range(_PRODUCTS):
@@ -213,10 +213,11 @@ def followed(
     guide: Aim | None = None,
     taken: Array | None = None,
 ) -> tuple[float, Array]:
-    """Follow a motion on its branch from (t, q); return the time reached, and the place.
+    """Follow a motion on its branch from (t, q) to `end`; return the time reached, and q there.
 
-    A guide is needed where constraints leave motions free; `taken` are the constraints that are
-    followed, all or a mask (n_lam,).
+    The time is less than `end` where Phi_q loses rank on the way. `guide` gives the aim of the
+    motion where constraints leave motions free; `taken` is a mask, (n_lam,), of the constraints
+    that are followed, by default all.
     """
     h, least = end - t, _SHORTEST * (end - t)
     values = system.constraint_q(t, q)
@@ -238,7 +239,7 @@ def followed(
 
 
 def _settled(form: Form, place: Place, t: float, q: Array, aim: Array) -> Array:
-    """Move along the constraints of one time to the place that is nearest to the aim."""
+    """Return the configuration q, (n_q,), nearest to `aim` that constraints at time t permit."""
     system, share = form.system, 1.0
     none = np.zeros(system.n_lam)
     for _ in range(_MOVES):
@@ -260,9 +261,9 @@ def _settled(form: Form, place: Place, t: float, q: Array, aim: Array) -> Array:
 def _part(
     form: Form, place: Place, begin: tuple[float, Array], end: float, aim: Array
 ) -> tuple[Array, Place] | None:
-    """Return q at `end`, and its place, by Newton's method.
+    """Return q at time `end`, (n_q,), and its `Place`, after one part of a step (Newton's method).
 
-    None if it does not converge, or if q is too far to lie on the branch for certain.
+    None if Newton's method does not converge, or if norm(X) > CHANGED there.
     """
     (t, q), system = begin, form.system
     side = (end - t) * velocity_side(system, t, q) if end > t else np.zeros(system.n_lam)
@@ -284,7 +285,7 @@ def closed(system: MechanicalSystem, t: float, q: Array, taken: Array | None) ->
 
 
 def _solved(form: Form, t: float, q: Array, allowed: float) -> Array | None:
-    """Close the constraints by Newton's method; None unless corrections shrink from `allowed`."""
+    """Return q with its constraints closed; None unless corrections fall from `allowed` on."""
     system, none = form.system, np.zeros(form.system.n_q)
     w = system.weights
     least = SMALL * norm(q, w)

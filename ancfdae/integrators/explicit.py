@@ -1,26 +1,23 @@
-"""DOP853 on the index-1 form: its coefficients, its steps, its quadrature.
+"""DOP853, an explicit Runge-Kutta method of order 8, on the index-1 form.
 
-Steps of DOP853 (Hairer, Norsett & Wanner, II.10) for y'' = a(t, y, y').
+    q' = v,   v' = a(t, q, v),   q_b' = v_b,   v_b' = a_b(t, q, v, q_b, v_b)
 
-The method is that for (y, u)' = (u, a) with coefficients A, B, C, E3, E5 and D of SciPy. As its
-stages have Y_i' = U_i, those of y are linear in the accelerations K_j of the stages as well,
+with (a, lam) and (a_b, lam_b) from one factorised matrix per stage, which is one for the whole run
+where M and Phi_q are constant. The drift of positions, velocities and their design derivatives from
+the constraints is removed after each step and at the output times (`Accelerations.projected`).
+
+The method for y'' = a(t, y, y') is that for (y, u)' = (u, a) (Hairer, Norsett & Wanner, II.10) with
+coefficients A, B, C, E3, E5 and D of SciPy. As its stages have Y_i' = U_i, the positions Y are
+linear in the accelerations K_j of the stages as well,
 
     U_i = u + h sum_j A_ij K_j,    Y_i = y + c_i h u + h^2 sum_j (A A)_ij K_j,
 
 so that a stage is one product of a matrix, 2 x (2 + i), with the rows y, u, K_1, ..., K_i. A kernel
 takes the steps and chooses their lengths (`kernels/explicit.h`).
 
-Explicit Runge-Kutta of order 8 (DOP853, Hairer, Norsett & Wanner) on the index-1 form.
-
-    q' = v,   v' = a(t, q, v),   q_b' = v_b,   v_b' = a_b(t, q, v, q_b, v_b)
-
-with (a, lam) and (a_b, lam_b) from one factorised matrix per stage, which is one for the whole run
-where M and Phi_q are constant. What positions, velocities and their derivatives drift from the
-constraints is removed after each step and from the instants (`Accelerations.projected`).
-
 The stages of a step make a quadrature of order 8 for functions of the states, with the error
-estimate of the method; where that says that they are too few for an integrand, points within the
-step come from its dense output.
+estimate of the method. If the stages are too few for an integrand by that estimate, quadrature
+points within the step come from its dense output.
 """
 
 import math
@@ -38,35 +35,30 @@ from ancfdae.integrators.high_order import HighOrder, March, NotFinite
 from ancfdae.integrators.integrator import Points, Rule
 from ancfdae.integrators.problem import Accelerations, InitialValueProblem, stacked, vector_sizes
 from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
-from ancfdae.kernels import (
-    ERROR_TEST,
-    NOT_FINITE,
-    SINGULAR,
-    explicit_march,
-    explicit_terms,
-    finite,
-)
+from ancfdae.kernels import ERROR_TEST, NOT_FINITE, SINGULAR, ExplicitRun, finite
 from ancfdae.numerics.arrays import Array
 
-# Stages of a step, the state after it (which is the first stage of the next), and those that only
-# its dense output needs.
+# Number of stages of a step, index of the state after it (the first stage of the next step), and
+# number of stages with the three that only the dense output needs.
 STAGES, _AFTER, _ALL = 12, 12, 16
 # Exponent of the error estimate, which has order 7, in the step that follows from it.
 EXPONENT = -1 / 8
 # Which factors of the terms x, x (1 - x), x^2 (1 - x), ... of the dense output are 1 - x.
 _TURNED = np.arange(7) % 2 == 1
-# Places in the control of a step; its last numbers are of evaluations and projections.
+# Indices into the control array of a step; its last two entries count evaluations and projections.
 _T, _END, _H, _ERROR = range(4)
-# Reported times that are reached at once.
+# Output times that one call of the kernel reports at most.
 _TIMES = 64
-# An error that counts as no less, in tolerances.
+# Least error of a step, in tolerances, in the choice of the next step size.
 _NO_ERROR_BEFORE = 1e-4
 
 
 class Tables(NamedTuple):
-    """Coefficients of y, h u and h^2 K in Y, and of y, u and h K in U; of errors; and nodes.
+    """Coefficients of DOP853 for equations of second order.
 
-    `within` are coefficients of rates in the last terms of the dense output.
+    `stages` are coefficients of y, h u and h^2 K in Y, and of y, u and h K in U. `errors` are
+    coefficients of the two error estimates, `nodes` the c_i, `within` coefficients of the rates in
+    the last terms of the dense output.
     """
 
     stages: Array
@@ -77,7 +69,7 @@ class Tables(NamedTuple):
 
 @cache
 def tables() -> Tables:
-    """Return the coefficients of the method for equations of second order."""
+    """Return the coefficients of DOP853 for equations of second order."""
     method = scipy.integrate.DOP853
     A = np.zeros((_ALL, _ALL))
     A[:STAGES, :STAGES], A[_AFTER, :STAGES], A[_AFTER + 1 :] = method.A, method.B, method.A_EXTRA
@@ -92,7 +84,7 @@ def tables() -> Tables:
 @final
 @dataclass(frozen=True)
 class Between:
-    """Dense output of a step from t to t + h, of order 7: y, u as (2, ...) at any time in it."""
+    """Dense output of a step from t to t + h, of order 7: y and u, (2, ...), at times within it."""
 
     t: float
     h: float
@@ -100,7 +92,7 @@ class Between:
     terms: Array
 
     def __call__(self, t: Array | float) -> Array:
-        """Return the states at times, shape (*t.shape, 2, ...)."""
+        """Return the states y and u at times t (s), shape (*t.shape, 2, ...)."""
         x = (np.asarray(t)[..., None] - self.t) / self.h
         weights = np.cumprod(np.where(_TURNED, 1 - x, x), axis=-1)
         moved = np.dot(weights, self.terms.reshape(len(_TURNED), -1))
@@ -109,10 +101,10 @@ class Between:
 
 
 class Tolerances(NamedTuple):
-    """Tolerances of a step, relative to the size of each vector, and absolute as (2, rows, n).
+    """Error tolerances of a step: `rtol` times the size of each vector, plus `floor`, (2, rows, n).
 
-    Sizes of positions count from the `place` of the system, (n,); `vector` coordinates in a row are
-    the components of one vector.
+    Sizes of positions count from `place`, (n,), the mean position of the start; `vector`
+    consecutive coordinates are the components of one vector.
     """
 
     rtol: float
@@ -122,9 +114,10 @@ class Tolerances(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """Accepted steps: begin and end, states and multipliers of the stages `used`.
+    """Accepted steps that are stored for quadrature: `spans`, (k, 2), holds start and end time; s.
 
-    Shapes (k, 2), (k, used, 2, rows, n) and (k, used, rows, m).
+    `states`, (k, used, 2, rows, n), and `lam`, (k, used, rows, m), are states and multipliers at
+    the stages with indices `used`.
     """
 
     spans: Array
@@ -134,32 +127,32 @@ class Kept(NamedTuple):
 
     @staticmethod
     def room(count: int, used: Array, rows: int, n: int, m: int) -> "Kept":
-        """Return room for a number of steps."""
+        """Return an empty store for the states of `count` steps."""
         shape = (count, len(used), rows)
         states = np.empty((count, len(used), 2, rows, n))
         return Kept(np.empty((count, 2)), states, np.empty((*shape, m)), used)
 
     def part(self, which: slice) -> "Kept":
-        """Return the part of some steps."""
+        """Return the stored steps with indices `which`, as a view."""
         return Kept(self.spans[which], self.states[which], self.lam[which], self.used)
 
 
 @final
 class Dop853:
-    """One step after the other, of lengths that keep their errors within tolerances.
+    """Steps of DOP853, one after another, of sizes that keep their errors within tolerances.
 
     Parameters
     ----------
     accelerations : Accelerations
-        Equations whose (a, lam) and projections a step takes.
+        Equations that a step evaluates: (a, lam), and projections onto the constraints.
     t : float
         Time of the start; s.
     state : array, shape (2, rows, n)
-        y and u at the start, above their derivatives; units of the equations.
+        y and u at the start, above their design derivatives; units of the equations.
     found : array, shape (rows, n + m)
         a and lam of that state.
     h : float
-        Length of the first step that is tried; s.
+        Size of the first step that is tried; s.
 
     Attributes
     ----------
@@ -172,76 +165,75 @@ class Dop853:
         self, accelerations: Accelerations, t: float, state: Array, found: Array, h: float
     ) -> None:
         self._accelerations = accelerations
-        self._equations = accelerations.for_kernel(state.shape[1])
         _, rows, n = state.shape
         self._rows, self.states = np.zeros((2 + _ALL, rows * n)), np.zeros((_ALL, *state.shape))
         self._found = np.zeros((_ALL, *found.shape))
         self.states[0], self._found[0] = state, found
         self._rows[:2], self._rows[2] = state.reshape(2, -1), found[:, :n].ravel()
         self._control = np.array([t, t, h, _NO_ERROR_BEFORE, np.nan, 0.0, 0.0])
-        self._step = self._rows, self.states, self._found, self._control
+        step = self._rows, self.states, self._found, self._control
+        self._run = ExplicitRun(accelerations.for_kernel(state.shape[1]), tables(), step)
 
     @property
     def t(self) -> float:
-        """Time at which the last step begins; s."""
+        """Time at which the last step of DOP853 starts; s."""
         return float(self._control[_T])
 
     @property
     def end(self) -> float:
-        """Time at which the last step ends; s."""
+        """Time at which the last step of DOP853 ends; s."""
         return float(self._control[_END])
 
     @property
     def error(self) -> float:
-        """Error of the last step, in tolerances, at least 1e-4."""
+        """Estimated error of the last step over its tolerance; at least 1e-4."""
         return float(self._control[_ERROR])
 
     @property
     def after(self) -> Array:
-        """State (positions, velocities) after the step, shape (2, rows, n)."""
+        """State (positions, velocities) after the last step, shape (2, rows, n)."""
         state: Array = self.states[_AFTER]
         return state
 
     @property
     def evaluations(self) -> int:
-        """Number of evaluations of accelerations."""
+        """Number of evaluations of the accelerations so far."""
         return int(self._control[-2])
 
     def march(
         self, tolerances: Tolerances, times: Array, stop: float, kept: Kept
     ) -> tuple[int, int, Array]:
-        """Take steps until one reaches the last time or the stop, at most those there is room for.
+        """Take steps until one reaches the last time or `stop`, at most as many as `kept` holds.
 
-        Return why there are no more, zero where there may be, how many were taken, and the states
-        at times that lie behind, (k, 2, rows, n).
+        Return the kernel's code of a failure (zero without one), the number of steps taken, and the
+        states at the passed `times`, (k, 2, rows, n).
         """
         before, at_once = self._control[-2:].copy(), self._accelerations.steps_at_once
         count = min(len(kept.spans), at_once)
-        fixed = self._equations, tables(), self._step, tolerances
-        found = explicit_march(*fixed, times, stop, count, kept)
+        found = self._run.march(tolerances, times, stop, count, kept)
         self._accelerations.count(*(self._control[-2:] - before).astype(int).tolist())
         return found
 
     def between(self) -> Between | None:
-        """Return the dense output of the accepted step; None where its equations fail."""
+        """Return the dense output of the accepted step; None if its accelerations fail."""
         before = self.evaluations
-        terms = explicit_terms(self._equations, tables(), self._step)
+        terms = self._run.terms()
         self._accelerations.count(self.evaluations - before, 0)
         if isinstance(terms, int):
             return None
         return Between(self.t, self.end - self.t, self.states[0].copy(), terms)
 
 
-# Below this, the round-off of a step is as large as its error.
+# Least relative tolerance: below it, the round-off of a step is as large as its error.
 _LEAST_RTOL = 3e-14
 # Absolute tolerance relative to the scales, per unit of rtol.
 _SMALL = 1e-2
-# Panels of a step whose stages are too few.
+# Numbers of quadrature panels that are tried in a step whose stages are too few for an integrand.
 _PANELS = (1, 4, 16)
-# Steps that are taken into the integrals together, at least and at most, and the numbers that their
-# states may be: an evaluation of observables costs several steps of a small system. There are four
-# times as many each time. Where stages are too few, these steps are repeated, and the next ones
-# keep their dense output.
+# Steps that are added to the integrals in one batch, at least and at most, the growth from batch to
+# batch, and the most numbers that their states may hold: an evaluation of observables costs several
+# steps of a small system. Where stages are too few for an integrand, the steps of the batch are
+# repeated for their dense output, which later steps store.
 _LEAST_TOGETHER, _MOST_TOGETHER, _GROWTH, _NUMBERS = 8, 64, 4, 200_000
 _NONE = np.zeros(0, dtype=np.int32)
 _VERDICTS = {
@@ -254,7 +246,7 @@ _VERDICTS = {
 @final
 @dataclass(frozen=True, repr=False)
 class DOP853(HighOrder):
-    """Explicit integration of order 8 with error control; for soft scenes.
+    """Explicit Runge-Kutta integration of order 8 with error control, for non-stiff scenes.
 
     The step is bounded by the highest frequency, so stiff scenes need many steps; a small system
     takes 5,000 in a second. Parameters: see `HighOrder`.
@@ -264,13 +256,13 @@ class DOP853(HighOrder):
         self.require_settings(_LEAST_RTOL)
 
     def start(self, problem: InitialValueProblem, t_end: float, quadrature: Quadrature) -> March:
-        """Set up a run by DOP853 from the start of the system."""
+        """Set up a run by DOP853 from the consistent start of the system."""
         return _ExplicitMarch(self, problem, t_end, quadrature)
 
 
 @cache
 def _weighted() -> tuple[Array, Rule]:
-    """Return which stages carry weight, the first is the state before, and their quadrature."""
+    """Return the indices of the stages with quadrature weights, and their rule on a unit panel."""
     method = scipy.integrate.DOP853
     used = np.flatnonzero(method.B).astype(np.int32)
     return used, Rule(method.B[used], method.E5[used], method.E3[used])
@@ -278,9 +270,9 @@ def _weighted() -> tuple[Array, Rule]:
 
 @final
 class _ExplicitMarch(March):
-    """One run; states are rows q and q_b, then v and v_b, shape (2, 1 + n_b, n_q)."""
+    """One run of DOP853; states are rows q and q_b, then v and v_b, shape (2, 1 + n_b, n_q)."""
 
-    # A step is as good as several of a method of low order.
+    # Steps are long compared with steps of a low order, so contacts are checked within them.
     parts = (0.25, 0.5, 0.75, 1.0)
 
     def __init__(
@@ -302,13 +294,13 @@ class _ExplicitMarch(March):
         per_step = max(1, len(used)) * state.size
         count = max(_LEAST_TOGETHER, min(_MOST_TOGETHER, _NUMBERS // per_step))
         self._kept = Kept.room(count, used, rows, n, problem.system.n_lam)
-        # Steps that wait for their integrals, and their dense output where that is kept.
+        # Number of steps not yet added to the integrals, and their dense output where it is stored.
         self._together = _LEAST_TOGETHER
         self._waiting, self._dense, self._between = 0, False, list[Between | None]()
         self._failed, self._recorded = 0, np.zeros((0, *state.shape))
 
     def _first_step(self, state: Array, acceleration: Array) -> float:
-        """Guess the first step (Hairer, Norsett & Wanner, II.4); the unit of time is t_end."""
+        """Guess the first step, s (Hairer, Norsett & Wanner, II.4), with t_end as unit of time."""
         T, (rtol, floor, place, vector) = self._t_end, self._tolerances
         rate = T * np.stack([state[1], acceleration])
         centred = state.copy()
@@ -349,7 +341,7 @@ class _ExplicitMarch(March):
         return ends
 
     def _march(self, times: Array, kept: Kept) -> tuple[int, int, Array]:
-        """Take as many steps as there is room for towards some of the times, as `Dop853.march`."""
+        """Take steps towards `times`, at most as many as `kept` can store; see `Dop853.march`."""
         method = self._method
         evaluations = method.evaluations
         found = method.march(self._tolerances, times[:_TIMES], self._stop, kept)
@@ -384,7 +376,7 @@ class _ExplicitMarch(March):
             self._together = min(_GROWTH * self._together, most)
 
     def _choices(self, steps: Kept, dense: list[Between | None]) -> Iterator[Points]:
-        """Points within steps: their stages, then their dense output on ever more panels."""
+        """Yield quadrature points of steps: their stages, then dense output on ever more panels."""
         used, rule = _weighted()
         left, h = steps.spans[:, 0], np.diff(steps.spans, axis=1)[:, 0]
         t = left[:, None] + h[:, None] * tables().nodes[used]
@@ -402,7 +394,7 @@ class _ExplicitMarch(March):
             )
 
     def _repeated(self, steps: Kept, k: int) -> Between:
-        """Return the dense output of a step that was accepted before."""
+        """Return the dense output of stored step k, which is taken again without error control."""
         (left, right), state = steps.spans[k].tolist(), steps.states[k, 0]
         found = self._accelerations(left, state)
         method = Dop853(self._problem.accelerations, left, state, found, 2 * (right - left))
@@ -416,7 +408,7 @@ class _ExplicitMarch(March):
         return between
 
     def _accelerations(self, t: float, state: Array) -> Array:
-        """Return (a, lam) above its derivatives, shape (rows, n + m)."""
+        """Return a and lam, above their design derivatives, of a state; shape (rows, n + m)."""
         self.residuals += 1
         found = self._problem.accelerations.rows(t, *state) if finite(state) else state
         if not finite(found):

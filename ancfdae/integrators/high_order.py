@@ -1,8 +1,9 @@
-"""Common parts of the integrators of high order: output times, start, recording.
+"""Common base of the integrators of high order (DOP853, IDA, IDAS): start, output times, recording.
 
-They choose their steps themselves and report Gauss-Lobatto instants in equal intervals, with
-accelerations and multipliers recomputed from positions and velocities by one linear solve: more
-accurate than what a solver carries along. Integrals follow the steps, not the instants.
+They choose their steps themselves. The solution is reported at Gauss-Lobatto points in equal
+intervals, with accelerations and multipliers recomputed from positions and velocities by one linear
+solve: more accurate than the values that a solver carries along. Integrals use the steps, not the
+output times.
 """
 
 import abc
@@ -32,19 +33,20 @@ from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.numerics.time_grid import TimeGrid, next_end
 
-# Steps of which a run warns: DOP853 takes 20 s for them in a small system (5,000 a second).
+# A run warns if it expects more steps: DOP853 takes 20 s for these in a small system (5,000 a
+# second).
 _MANY = 100_000
-# Time points at which contacts are looked at together.
+# Recorded states that are checked for contacts in one batch.
 _TOGETHER = 256
-# Intervals of a run where none are asked for, and of one of which the end alone is read.
+# Default number of intervals of a run, and of a run of which only the end is read.
 INTERVALS, _FEW = 64, 4
-# Stops that are printed one by one.
+# Most stops that `repr` lists.
 _SHOWN = 6
-# Each interval has eight instants more.
+# Most intervals; each adds eight output times.
 _MOST_INTERVALS = 10**8
 
 
-# Why there are many, and what to use instead.
+# Reason and remedy in the warning of many steps.
 _REMEDY = (
     "an integrator of high order follows every wave and every fast decay of the mesh. HHT(step) "
     "and HHT(rtol=...) step over those that do not matter (docs/howto/integrator.md)."
@@ -58,15 +60,15 @@ def pace(t_end: float) -> Pace:
 
 @final
 class NotFinite(Exception):
-    """Raised inside a callback to leave a solver; never reaches the user."""
+    """Raised in a callback of a solver where values are not finite; never reaches the user."""
 
 
 class March(abc.ABC):
-    """One run of a solver, step by step, in a context; it counts as `Statistics` do.
+    """One run of a solver of high order, step by step, in a context; it counts as `Statistics` do.
 
-    Contacts are followed at `parts` of each step, the last one its end. `residual` is the size of
-    the last finite scaled residual, zero where a step leaves none; it is
-    kept, for after an interrupt or a failure the equations must not be called once more.
+    Contacts are checked at `parts` of each step, the last one its end. `residual` is the norm of
+    the last finite scaled residual (dimensionless), zero where a step leaves none. It is stored,
+    because the equations must not be evaluated again after an interrupt or a failure.
     """
 
     parts: ClassVar[tuple[float, ...]] = (1.0,)
@@ -82,7 +84,7 @@ class March(abc.ABC):
         self.residual, self._t, self._t_end, self._max_steps = 0.0, 0.0, t_end, max_steps
         self._pace, self._context = pace(t_end), context
         self.stops: tuple[float, ...] = problem.system.breakpoints(t_end)
-        # States after steps are followed where there are contacts; output times may be far apart.
+        # Contacts are checked at the states after steps, since output times may be far apart.
         self.contacts = problem.system.contacts()
         self._path = [(0.0, problem.initial.q, problem.initial.v)] if self.contacts else []
 
@@ -93,11 +95,10 @@ class March(abc.ABC):
 
     @final
     def to(self, times: Array) -> Array | Verdict:
-        """Step until the first of ascending times lies behind, or say why it is not reached.
+        """Step until the first of the ascending `times` is passed, or return why it is not reached.
 
-        Return the states (`stacked`) there and at further ones that lie behind, (k, 2, rows, n).
-
-        NotFinite if the equations yield NaN or infinity, or SingularMatrix, may be raised.
+        Return the states (`stacked`) at that time and at all further `times` that were passed, (k,
+        2, rows, n). May raise NotFinite, if the equations yield NaN or infinity, or SingularMatrix.
         """
         with self._context():
             while self._t < times[0]:
@@ -120,58 +121,59 @@ class March(abc.ABC):
 
     @final
     def _look_at_contacts(self, least: int) -> None:
-        """Follow the states after the last steps, if they are enough."""
+        """Pass the states after the last steps to the contact record, if there are `least`."""
         if self.contacts and len(self._path) >= least:
             self.contacts.follow(*(np.array(x) for x in zip(*self._path, strict=True)))
             self._path = []
 
     @final
     def missed(self) -> MissedContact | None:
-        """Return the first contact of a finished run that its steps pass over."""
+        """Return the first contact that the steps of this finished run passed over, or None."""
         self._look_at_contacts(1)
         return self.contacts.missed() if self.contacts else None
 
     @abc.abstractmethod
     def _steps(self, times: Array) -> list[float] | Verdict:
-        """Take steps, the last one of which may pass the first of ascending times.
+        """Take steps, the last one of which may pass the first of the ascending `times`.
 
-        Return their ends, or why no step is taken.
+        Return the end times of the steps, s, or why no step was taken.
         """
 
     @abc.abstractmethod
     def _states(self, times: Array) -> Array:
-        """Interpolate in the last step."""
+        """Return states at `times` within the last step by interpolation, (k, 2, rows, n_q)."""
 
     def _reported(self, times: Array) -> Array:
-        """Return states at times in the last step, or at the first of them, (k, 2, rows, n_q)."""
+        """Return states at the first k >= 1 of `times`, in the last step, (k, 2, rows, n_q)."""
         return self._states(times)
 
     @abc.abstractmethod
     def finish(self) -> None:
-        """Add the last steps to the integrals."""
+        """Add the steps that are still stored to the integrals of the run."""
 
 
 @dataclass(frozen=True)
 class HighOrder(QuadratureIntegrator):
-    """An integrator that controls its error.
+    """An integrator of high order that chooses its steps by an error tolerance.
 
     Parameters
     ----------
     rtol : float
         Relative tolerance per step; dimensionless.
     intervals : int, optional
-        Equal intervals of the run; each has nine Gauss-Lobatto instants, ends included. They
-        say where the trajectory is reported, nothing else. By default 64, and 4 in gradients of
-        objectives that are read at the end alone or integrated with the motion.
+        Number of equal intervals into which the run is divided for output; the solution is reported
+        at nine Gauss-Lobatto points of each, ends included. Steps do not depend on it. By default
+        64, and 4 in gradients of objectives that are read at the end alone or integrated with the
+        motion.
     max_steps : int
-        Steps of the whole run before it ends with an outcome. The default, a million, is no
-        budget: it ends runs that nobody waits for. Runs that lead nowhere end by themselves.
+        Largest number of steps of a run, after which it ends with an outcome. The default, a
+        million, only ends runs that nobody waits for; runs without progress end by themselves.
     stops : sequence of float
-        Instants that no step passes, beside the breakpoints of laws: where something happens that
-        lasts so short that steps could pass over it, such as a pulse; s.
+        Times that no step passes, in addition to the breakpoints of laws; s. For events so short
+        that a step could pass over them, such as a pulse.
     """
 
-    # The solvers are real wherever the start is, and would drop imaginary parts of the forces.
+    # The solvers compute in real numbers and would drop imaginary parts of the forces.
     real_only: ClassVar[bool] = True
     checks_contacts: ClassVar[bool] = True
 
@@ -182,7 +184,7 @@ class HighOrder(QuadratureIntegrator):
 
     @final
     def __repr__(self) -> str:
-        """Name the integrator and its settings; of many stops the first, the last and the count."""
+        """Return name and settings; of many stops the first, the last and the count."""
         settings = [
             f"{x.name}={getattr(self, x.name)!r}" for x in fields(self) if x.name != "stops"
         ]
@@ -194,7 +196,7 @@ class HighOrder(QuadratureIntegrator):
 
     @final
     def require_settings(self, least_rtol: float) -> None:
-        """Validate the settings that all have."""
+        """Raise InvalidInputError unless rtol, intervals, stops and max_steps are valid."""
         name = type(self).__name__
         require_rtol(f"{name}.rtol", self.rtol, least_rtol)
         if self.intervals is not None:
@@ -205,15 +207,15 @@ class HighOrder(QuadratureIntegrator):
 
     @final
     def refined(self, solution: Solution) -> Self:
-        """Return the integrator with a tenth of the tolerance."""
+        """Return the same integrator with a tenth of the tolerance `rtol`."""
         return replace(self, rtol=self.rtol / 10)
 
     @final
     def at_end(self, system: MechanicalSystem, t_end: float) -> Self:
-        """Return the integrator that reports few times, for a run that is read at its end alone.
+        """Return the integrator with few output times, for a run of which only the end is read.
 
-        `intervals` that were given are kept. A prescribed motion keeps the default: it is checked
-        from one reported time to the next.
+        Given `intervals` are kept. A prescribed motion keeps the default number of intervals,
+        because it is checked from one output time to the next.
         """
         times = np.linspace(0.0, t_end, INTERVALS + 1)
         prescribed = system.n_lam == system.n_q
@@ -223,7 +225,7 @@ class HighOrder(QuadratureIntegrator):
 
     @abc.abstractmethod
     def start(self, problem: InitialValueProblem, t_end: float, quadrature: Quadrature) -> March:
-        """Set up a solver at the start."""
+        """Return a run of this integrator, set up at the consistent start of the problem."""
 
     @final
     @in_one_thread
@@ -236,11 +238,11 @@ class HighOrder(QuadratureIntegrator):
         progress: bool = False,
         integrands: Sequence[Integrand] = (),
     ) -> Solution:
-        """Integrate from t = 0 to `t_end`, integrals beside the motion."""
+        """Integrate the motion from t = 0 to `t_end` (s), and integrals of the `integrands`."""
         if any(np.iscomplexobj(x) for x in (system.b, *system.start())):
             rule, got = "needs real coordinates and design values", "complex ones"
             raise InvalidInputError(type(self).__name__, rule, got, "Only HHT takes complex steps.")
-        with np.errstate(all="ignore"):  # What is not finite is refused, not warned about.
+        with np.errstate(all="ignore"):  # Values that are not finite raise an error below.
             problem = InitialValueProblem.of(system, t_end)
             problem = problem.differentiated(True) if sensitivities else problem
         problem.require_finite()
@@ -252,12 +254,12 @@ class HighOrder(QuadratureIntegrator):
         watch = Watch(system, recorder)
         quadrature = Quadrature(integrands, problem.accelerations, self.rtol)
         try:
-            with np.errstate(all="ignore"):  # A blow-up is told by the outcome.
+            with np.errstate(all="ignore"):  # The outcome reports a blow-up.
                 march = self.start(problem, t_end, quadrature)
                 march.stops = (*march.stops, *self.stops)
                 for k in progress_bar(progress, range(1, len(grid.t)), unit="instant"):
                     if k < recorder.instants:
-                        continue  # It came with the one before.
+                        continue  # This output time was reported with the one before.
                     states = march.to(grid.t[k:])
                     if isinstance(states, Verdict):
                         verdict = states
@@ -293,7 +295,7 @@ class HighOrder(QuadratureIntegrator):
 def _record(
     problem: InitialValueProblem, recorder: SolutionRecorder, t: Array, states: Array
 ) -> None:
-    """Complete states by accelerations and multipliers, and store them."""
+    """Complete states, (k, 2, rows, n_q), by accelerations and multipliers, and record them."""
     n = problem.system.n_q
     x = problem.accelerations.rows_of(t, states)
     if not finite(x):

@@ -1,9 +1,7 @@
-"""Base class of all integrators, and integrals along a motion.
+"""Base classes of the integrators, and of the integrals that they evaluate along a motion.
 
-Integrals along a motion: functions of the states, on panels of quadrature points.
-
-The integrator says where the points lie and which weights they have; what is made of the values
-there is the integrand's.
+Integrals are sums over panels of quadrature points. The integrator chooses points and weights; the
+integrand evaluates its function at the states there.
 """
 
 from __future__ import annotations
@@ -21,17 +19,17 @@ from ancfdae.errors.checks import require_positive
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import Array
 
-# How the errors of two rules make that of the better one (DOP853: Hairer, Norsett & Wanner, II.10).
+# Weight of the coarse error in the error estimate (DOP853: Hairer, Norsett & Wanner, II.10).
 _COARSE = 0.1
 
 
 @final
 @dataclass(frozen=True)
 class Rule:
-    """Quadrature on a panel of length one.
+    """Quadrature rule on a panel of length one, with n points.
 
-    `error` is the weights minus those of a rule of lower order, `coarse` the same for a rule of
-    lower order yet; zero without one.
+    `weights`, (n,), minus the weights of an embedded rule of lower order are `error`, minus those
+    of a rule of still lower order `coarse`; zero without such a rule.
     """
 
     weights: Array
@@ -42,10 +40,10 @@ class Rule:
 @final
 @dataclass(frozen=True)
 class Points:
-    """States at k points of some panels, panel after panel; h are the lengths of the panels.
+    """States at k quadrature points of several panels, panel after panel; h are panel lengths, s.
 
-    q, v and lam have the shape (k, n), q_b, v_b and lam_b (k, n, n_b). What is not asked for is
-    None.
+    q, v and lam have the shape (k, n), q_b, v_b and lam_b (k, n, n_b). Arrays that were not
+    requested are None.
     """
 
     rule: Rule
@@ -60,17 +58,20 @@ class Points:
 
     @property
     def weights(self) -> Array:
-        """Weights of the points, shape (k,); they sum to the duration."""
+        """Quadrature weights of the points, shape (k,); s.
+
+        They sum to the duration of the panels.
+        """
         return np.outer(self.h, self.rule.weights).ravel()
 
     @property
     def weights_size(self) -> Array:
-        """Positive weights of the same duration, for sizes."""
+        """Positive weights with the sum of `weights`, (k,); s; for integrals of magnitudes."""
         size = np.abs(self.rule.weights)
         return np.outer(self.h, size / np.sum(size)).ravel()
 
     def errors(self, x: Array) -> Array:
-        """Estimate the errors of the integrals of the columns of x, shape (k, n) to (n,)."""
+        """Return estimated errors, (n,), of the integrals over time of the columns of x, (k, n)."""
         panels = x.reshape(len(self.h), -1, x.shape[1])
         fine, coarse = (
             np.abs(np.einsum("p,kpn->kn", e, panels)) for e in (self.rule.error, self.rule.coarse)
@@ -84,11 +85,11 @@ class Points:
 @final
 @dataclass(frozen=True)
 class PartialIntegral:
-    """Integral of an integrand over a part of the run.
+    """Integral of an integrand over a part of the run, of `duration` s.
 
-    `slopes` has the shape (n_b,); `size`, (n,), are integrals without signs. The error is
-    estimated, relative to the size of the integral, nan if anything is not finite; `not_finite` is
-    the time of the first such point.
+    `slopes`, (n_b,), are the design derivatives of `value`; `size`, (n,), are integrals of
+    magnitudes. `error` is estimated, relative to the size of the integral, and NaN if any value is
+    not finite; `not_finite` is the time of the first such point, s, or None.
     """
 
     duration: float
@@ -100,53 +101,53 @@ class PartialIntegral:
 
 
 class Integrand(abc.ABC):
-    """A function of the states that is summed up along a run."""
+    """A function of the states that is integrated over time along a run."""
 
     @abc.abstractmethod
     def part(self, points: Points) -> PartialIntegral:
-        """Evaluate it on the next part of the run; without multipliers as if they were NaN."""
+        """Return the integral over the next part of the run; multipliers None count as NaN."""
 
     @abc.abstractmethod
     def add(self, part: PartialIntegral) -> None:
-        """Add the next part of the run, in the order of time."""
+        """Add the integral over the next part of the run; parts come in the order of time."""
 
 
 class Density(abc.ABC):
-    """Partials of an integrand, for adjoint equations."""
+    """Partial derivatives of an integrand H(t, q, v, lam), for adjoint equations."""
 
     @abc.abstractmethod
     def partials(self, t: Array, q: Array, v: Array, lam: Array) -> tuple[Array, Array, Array]:
-        """Return H_q, H_v and H_lam at states, one row each."""
+        """Return H_q and H_v, (k, n_q), and H_lam, (k, n_lam), at k states."""
 
 
 class Integrator(abc.ABC):
-    """Frozen settings of an integration method.
+    """Immutable settings of an integration method.
 
-    `real_only` ones refuse systems at complex design values, as the complex step needs them;
-    `order` is the power of the step with which errors fall, None where a tolerance controls them.
+    If `real_only`, complex design values, which the complex step needs, are rejected. `order` is
+    the power of the step size with which errors fall, None where a tolerance controls them.
     """
 
     real_only: ClassVar[bool] = False
-    #: Whether runs come with the outcome that they miss a contact (`with_contacts`).
+    #: Whether the outcome of a run reports contacts that its steps passed over (`with_contacts`).
     checks_contacts: ClassVar[bool] = False
     order: ClassVar[int | None] = None
 
     @property
     def differentiates_runs(self) -> bool:
-        """Whether `resume` can add the derivatives to a run that has reached its end."""
+        """Whether `resume` can add the design derivatives to a run that has reached its end."""
         return False
 
     def frozen(self, solution: Solution) -> Integrator:
-        """Return the integrator that repeats the steps of a run at another design.
+        """Return the integrator that repeats the steps of `solution` at another design.
 
-        Steps that follow from an error estimate jump with the design, and differences of runs show
-        it. Integrators that cannot repeat them return themselves.
+        Steps chosen by an error estimate jump with the design, and so do differences of runs.
+        Integrators that cannot repeat steps return themselves.
         """
         return self
 
     @abc.abstractmethod
     def refined(self, solution: Solution) -> Integrator:
-        """Return the integrator of a finer run: half the steps or a tenth of the tolerance."""
+        """Return the integrator for a finer run: half the step size or a tenth of the tolerance."""
 
     @abc.abstractmethod
     def integrate(
@@ -157,7 +158,7 @@ class Integrator(abc.ABC):
         sensitivities: bool = False,
         progress: bool = False,
     ) -> Solution:
-        """Integrate from t = 0 to `t_end` (s).
+        """Integrate the motion of a system from t = 0 to `t_end` (s).
 
         Parameters
         ----------
@@ -172,7 +173,8 @@ class Integrator(abc.ABC):
         Returns
         -------
         Solution
-            A failure on the way is reported by its outcome, and what was computed is kept.
+            If the run fails on the way, the solution holds the states up to there, and its outcome
+            the reason.
         """
 
     def resume(
@@ -184,17 +186,18 @@ class Integrator(abc.ABC):
         sensitivities: bool = False,
         progress: bool = False,
     ) -> Solution:
-        """Go on with a run of this integrator on this system, from its last instant to `t_end`.
+        """Continue `after`, a run of this integrator on this system, from its last time to `t_end`.
 
-        Returns the whole solution, which is that of a run in one go to round-off. Raises
-        InvalidInputError where the run is another one, or the integrator cannot go on.
+        Returns the whole solution, equal to an uninterrupted run to round-off. Raises
+        InvalidInputError if `after` is a run of another system or integrator, or the integrator
+        cannot continue runs.
         """
         rule = "needs an integrator whose runs can go on, such as HHT"
         raise InvalidInputError("after", rule, repr(self), "Run again from t = 0.")
 
 
 class QuadratureIntegrator(Integrator):
-    """An integrator that takes integrals beside the motion; others sum over their instants."""
+    """An integrator that evaluates integrals during its steps; others sum over output times."""
 
     @abc.abstractmethod
     def integrate(
@@ -206,23 +209,24 @@ class QuadratureIntegrator(Integrator):
         progress: bool = False,
         integrands: Sequence[Integrand] = (),
     ) -> Solution:
-        """Integrate, and feed the integrands; they are complete where the run reached `t_end`."""
+        """Integrate the motion and feed `integrands`, complete if the run reaches `t_end` (s)."""
 
     def at_end(self, system: MechanicalSystem, t_end: float) -> Self:
-        """Return the integrator for a run that is read at its end alone; by default itself."""
+        """Return the integrator for a run of which only the end is read; by default itself."""
         return self
 
 
-#: Covectors of an objective on q, v and lam, rows of states; None for zeros.
+#: Partial derivatives of an objective in q, v and lam, one row per state; None for zeros.
 OnStates: TypeAlias = tuple[Array | None, Array | None, Array | None]
 
 
 @final
 @dataclass(frozen=True)
 class Seeds:
-    """Partials of an objective in the states of every instant, rows; None for none.
+    """Partial derivatives of an objective in q, v and lam, one row per output time; None for zeros.
 
-    `densities` are the partials in integrals that a `QuadratureIntegrator` took beside the motion.
+    They start the backward pass. `densities` are pairs of a weight and the partial derivatives of
+    an integrand that a `QuadratureIntegrator` integrated during its steps.
     """
 
     q: Array | None
@@ -231,7 +235,7 @@ class Seeds:
     densities: tuple[tuple[float, Density], ...] = ()
 
     def rows(self, part: slice) -> OnStates:
-        """Return the seeds on q, v and lam of the states `part`."""
+        """Return the partial derivatives in q, v and lam of the states with indices `part`."""
         q, v, lam = (
             None if x is None else np.ascontiguousarray(x[part], dtype=float)
             for x in (self.q, self.v, self.lam)
@@ -240,41 +244,41 @@ class Seeds:
 
 
 class AdjointIntegrator(Integrator):
-    """An integrator that can also run backward through a finished run."""
+    """An integrator that can also run backward through a finished run (adjoint)."""
 
     @abc.abstractmethod
     def pull_back(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds, progress: bool = False
     ) -> Array:
-        """Return the gradient of an objective from its partials in the states (adjoint), (n_b,).
+        """Return the gradient of an objective, (n_b,), from its partial derivatives in the states.
 
-        The solution is a finished run of this integrator on this system. The explicit partial of
-        the objective in b is left out.
+        `solution` is a finished run of this integrator on this system. The explicit partial
+        derivative of the objective in b is not included.
         """
 
     def back_factorisations(self, solution: Solution) -> int:
-        """Return how many matrices `pull_back` factorises over a run; zero if it is not counted."""
+        """Return how many matrices `pull_back` factorises for a run; zero if not counted."""
         return 0
 
 
 class DefectIntegrator(AdjointIntegrator):
-    """An integrator that knows the defects which the smooth motion leaves in its steps."""
+    """An adjoint integrator that can compute the residuals of the smooth motion in its steps."""
 
     @abc.abstractmethod
     def discretisation_error(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds
     ) -> float:
-        """Return the change of an objective if the steps had no defects, in its unit.
+        """Return the estimated change of an objective if the steps had no defects, in its unit.
 
-        The arguments are those of `pull_back`; there are three instants at least.
+        Arguments as in `pull_back`; the solution must have at least three output times.
         """
 
 
 class RunInParts(abc.ABC):
-    """A run whose parts can be taken again, from instant `first` to instant `last` of `t`.
+    """A run whose parts can be integrated again, from one index of its time points `t` to another.
 
-    A part begins with the node that the one before ends with, all that the method knows there.
-    `taken` counts the steps, repeated ones included. A step has `degree` instants, as in a
+    A part starts from a checkpoint, the full state of the method at the end of the part before.
+    `taken` counts the steps, repeated ones included. A step has `degree` time points, as in a
     solution; parts end at ends of steps.
     """
 
@@ -284,28 +288,30 @@ class RunInParts(abc.ABC):
 
     @abc.abstractmethod
     def start(self) -> Any:
-        """Return the node before the first step."""
+        """Return the checkpoint at the start of the run."""
 
     @abc.abstractmethod
     def part(self, node: Any, first: int, last: int) -> tuple[Solution, Any]:
-        """Step from a node at `first` to `last`; return the states there and between, and the end.
+        """Integrate from a checkpoint at index `first` of `t` to index `last`.
 
-        A part that fails or is interrupted holds the steps so far; its outcome says so.
+        Return the states from `first` to `last` as a solution, and the checkpoint at its end. If
+        the part fails or is interrupted, the solution holds the steps so far and its outcome says
+        so.
         """
 
     @abc.abstractmethod
     def pull_back(
         self, run: Solution, node: Any, first: int, seeds: Seeds, on: Array
     ) -> tuple[Array, Array]:
-        """Run the transposed recurrence back over a part that begins with a node.
+        """Run the adjoint recurrence backward over a part that starts at the checkpoint `node`.
 
-        Returns the gradient of the part, (n_b,), and covectors on the states before it from those
-        after it, `on`.
+        `on` are the adjoint vectors of the states after the part. Return its contribution to the
+        gradient, (n_b,), and the adjoint vectors of the states before it.
         """
 
     @abc.abstractmethod
     def close(self, on: Array, seeds: Seeds, gradient: Array) -> Array:
-        """Pull covectors on the states before the first step back through the start."""
+        """Return the gradient, (n_b,), with adjoint vectors `on` pulled back through the start."""
 
     @abc.abstractmethod
     def no_covectors(self) -> Array:
@@ -313,15 +319,15 @@ class RunInParts(abc.ABC):
 
 
 class PartwiseIntegrator(Integrator):
-    """An integrator whose runs can be taken part by part."""
+    """An integrator whose runs can be integrated part by part, as checkpointing needs."""
 
     @abc.abstractmethod
     def replay(self, system: MechanicalSystem, t_end: float) -> RunInParts:
-        """Return the run to `t_end`; InvalidInputError where its steps are not known before."""
+        """Return the run to `t_end` in parts; InvalidInputError unless its steps are known."""
 
 
 def require_rtol(where: str, rtol: float, least: float) -> None:
-    """Refuse a relative tolerance outside the range that makes sense."""
+    """Raise InvalidInputError unless a relative tolerance lies between `least` and 1e-2."""
     require_positive(where, rtol)
     if not least <= rtol <= 1e-2:
         repair = "For example 1e-6, or 1e-8 for gradients."

@@ -1,4 +1,4 @@
-"""The one place where a finished run is refused for contacts that its steps do not resolve."""
+"""Replaces the outcome of a finished run whose steps passed over a contact."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from ancfdae.errors.outcomes import Verdict
 
 
 def with_contacts(run: Solution, contacts: ContactRecord, whole: bool = True) -> Solution:
-    """Return a run, with another outcome if it misses a contact.
+    """Return `run`, with the outcome MISSED_CONTACT if its steps passed over a contact.
 
-    The record follows the states of the run, which may be a part of a longer one. Contacts are
-    judged where the run is `whole`, or its last part.
+    `contacts` records the states of the run, which may be a part of a longer one. Contacts are
+    judged only if the run is `whole`, or the last part.
     """
     if not run.outcome.success:
         return run
@@ -24,7 +24,7 @@ def with_contacts(run: Solution, contacts: ContactRecord, whole: bool = True) ->
 
 
 def refused(run: Solution, missed: MissedContact | None) -> Solution:
-    """Return a run with the outcome that it missed a contact, the run itself without one."""
+    """Return `run` with the outcome that it missed a contact; unchanged if `missed` is None."""
     if missed is None:
         return run
     step = max(int(np.searchsorted(run.t, missed.time, side="right")) - 1, 0) // run.degree

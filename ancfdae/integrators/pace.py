@@ -1,4 +1,4 @@
-"""The pace of a run under error control: steps that lead nowhere, and too many to wait for."""
+"""Detects runs under error control that make no progress, or will take too many steps."""
 
 from __future__ import annotations
 
@@ -7,25 +7,26 @@ from typing import final
 
 from ancfdae.errors.kinds import ManyStepsWarning
 
-# Steps that together advance by less than this share of the end time. Single steps may be lost in
-# round-off: at tight tolerances Newton's method meets it, and SUNDIALS tries shorter steps until it
-# gets on (a pendulum of IDA at 3e-13: five in a row, and the end time is reached).
+# A run makes no progress if _STEPS steps together advance by less than _SHARE of the end time.
+# Single steps may be lost in round-off: at tight tolerances Newton's method meets it, and SUNDIALS
+# tries shorter steps until one succeeds (a pendulum of IDA at 3e-13: five in a row, and the end
+# time is reached).
 _STEPS, _SHARE = 100, 1e-12
-# Share of the advance of one quarter that the next one makes where steps are what they will be, at
-# least and at most.
+# Steps count as steady if the last quarter of a hundred advances by a factor between these limits
+# relative to the quarter before.
 _SLOWER, _FASTER = 0.5, 1.5
-# Hundreds in a row that must foretell too many steps.
+# Number of hundreds of steps in a row that must predict too many steps before a warning.
 _IN_A_ROW = 20
 
 
 @final
 class Pace:
-    """Watches the times that the steps of a run reach.
+    """Watches the times that the steps of a run reach; warns if the run will take too many steps.
 
-    It warns, once, of a run that will take more steps than `many`, and says the reason and the
-    remedy in words, by twenty hundreds of steps in a row; of a solver that is `sure` of its first
-    steps by their first hundred alone. Short steps around a kick, at a start from rest, or where
-    round-off disturbs some, say nothing of the others.
+    It warns once, with the `remedy`, if twenty hundreds of steps in a row predict more than `many`
+    steps; if the solver is `sure` of its first steps, the first hundred suffices. Short steps
+    around a kick, at a start from rest, or where round-off disturbs some, do not predict the number
+    of later steps.
     """
 
     def __init__(self, t_end: float, many: int, remedy: str, *, sure: bool = False) -> None:
@@ -35,16 +36,16 @@ class Pace:
         self.restart(0.0)
 
     def restart(self, t: float) -> None:
-        """Start to count steps at time t."""
+        """Start counting steps anew at time t, s."""
         self._mark = self._half = self._quarter = t
         self._taken = 0
 
     def stalls(self, t: float) -> bool:
-        """Count a step to time t; return whether the last hundred steps made no progress.
+        """Count a step to time t, s; return whether the last hundred steps made no progress.
 
-        This ends runs that diverge, meet a jump too large to integrate, or integrate noise. The
-        second half of a hundred says how many steps the run takes, unless steps still grow in it,
-        or the run is about to stall.
+        A run without progress diverges, meets a jump too large to integrate, or integrates noise.
+        The number of steps of the run is predicted from the second half of the hundred, unless
+        steps still grow in it, or the run makes no progress.
         """
         self._taken += 1
         if 2 * self._taken == _STEPS:

@@ -1,13 +1,13 @@
-"""Whether steps belong to the motion that joints lead to (docs/theory/03-joints-and-loads.md).
+"""Whether steps end at the motion that drivers prescribe (docs/theory/03-joints-and-loads.md).
 
 Constraints have several solutions, and a long step can end at another one than the motion leads to.
 The equation of a prescribed angle holds half a turn off as well: its root is checked at the start
 (`refuse_opposite` of the assembly), and here after every step. Joints may also close in another way
 (the crossed four-bar), or lock on the way: steps of prescribed motions that change Phi_q much are
-followed (`branch`).
-What constraints determine, a driven linkage with a pendulum at its slider, is followed on its own:
-nothing free may lead it through a singular place. It is followed also in steps in which its
-velocities change much: what locks and opens again within a step leaves Phi_q as it was.
+followed (`branch`). Coordinates that the constraints determine alone, as of a driven linkage with a
+pendulum at its slider, are followed without the free ones, which could lead them past a singular
+position. They are followed also in steps in which their velocities change much: joints that lock
+and open again within a step leave Phi_q as it was.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ from ancfdae.integrators.recorder import Rows, SolutionRecorder
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 
-# Largest turn in a step under error control, in rad: a step that long says little about a circle,
-# and half a turn off is still three such steps away.
+# Largest rotation in a step under error control, rad: a longer step does not resolve a circle, and
+# the wrong root, half a turn off, is still three such steps away.
 _TURN = 1.0
-# Places in a step, as parts of it, at which the rate of the angle is looked at.
+# Times in a step, as fractions of it, at which the rate of the angle is evaluated.
 _PLACES = np.linspace(0.0, 1.0, 5)
-# A motion that constraints determine is followed if velocities change by more than this part of the
-# sum of their sizes: a turn by 0.2 rad.
+# A motion that constraints determine is followed if a step changes velocities by more than
+# _VELOCITIES times the sum of their norms before and after it: a rotation by 0.2 rad.
 _VELOCITIES = 0.1
-# Instants that are checked together: one by one they would cost a quarter of a small step.
+# States that are checked in one batch: one by one the checks would cost a quarter of a small step.
 _TOGETHER = 64
-# Rows of Phi_q that are compared with one place at once: twice as many as were near before, but at
-# least, and at most.
+# Least and largest number of states whose Phi_q is compared with one reference state in one batch;
+# in between, twice as many as were near the last reference.
 _ROWS, _MOST_ROWS = 4, 128
-# Rows of a run, at least, that are searched for singular positions, and the largest stride.
+# Least number of states of a run that are searched for singular positions, and largest stride.
 _FEW, _MOST_STRIDE = 64, 16
-# Entries of matrices n_lam x n_lam that take as long as the calls that compute with them.
+# Number of entries of matrices n_lam x n_lam whose arithmetic costs as much as the calls for it.
 _NUMBERS = 10_000
 
 
@@ -61,13 +61,13 @@ class Lost(NamedTuple):
 
 @final
 class Changes:
-    """Which steps of a motion change Phi_q by more than one branch of the constraints allows."""
+    """Finds the steps of a motion that change Phi_q by more than a branch of constraints allows."""
 
     def __init__(self, system: MechanicalSystem) -> None:
         self._system = system
         self._form: Form | None = None
         self._place: Place | None = None
-        # The first place of a small system is compared with as many rows as any.
+        # In a small system the first reference state is compared with as large a batch as any.
         self._count = min(max(_ROWS, _NUMBERS // max(system.n_lam, 1) ** 2), _MOST_ROWS)
 
     def between(self, rows: Rows) -> Array:
@@ -95,28 +95,28 @@ class Changes:
 
 @final
 class Watch:
-    """Checks the recorded states of one run, each once; cuts the run back to the last right one."""
+    """Checks recorded states of a run, each once, and cuts the run back to its last right state."""
 
     def __init__(self, system: MechanicalSystem, recorder: SolutionRecorder) -> None:
         self._system, self._recorder = system, recorder
         self._right = max(recorder.instants, 1)
         self._linear = system.traits.linear_constraints or not system.n_lam
-        # Whether the motion is seen to be prescribed: other motions are not followed.
+        # Whether the motion is known to be prescribed: other motions are not followed.
         self._driven = system.n_lam == system.n_q
         self._routed = system.traits.routed
         self._changes: Changes | None = None
 
     def missed(self, all_of_them: bool = False) -> Lost | None:
-        """Check recorded states, in packets or all; return the first step that went wrong, or None.
+        """Check new states, in batches or all of them; return the first wrong step, or None.
 
-        The recorder then forgets the step in which that happened and all after it.
+        The recorder then deletes that step and all after it.
         """
         recorder = self._recorder
         self._right = min(self._right, recorder.instants)
         late = recorder.instants - self._right
         if not late or (late < _TOGETHER and not all_of_them):
             return None
-        # What has diverged overflows: it is on no branch.
+        # A diverged state overflows and counts as lying on no branch.
         with np.errstate(all="ignore"):
             lost = self._lost(recorder.last(late + 1))
         if lost is not None:
@@ -125,7 +125,10 @@ class Watch:
         return lost
 
     def _lost(self, rows: Rows) -> Lost | None:
-        """Check the steps between rows; `first` counts from the second. None if all are right."""
+        """Return the first wrong step between `rows`; its `first` counts from the second row.
+
+        None if right.
+        """
         gone, verdict = self._system.mirrored(rows.q), Verdict.FOLDED
         if self._routed:
             off = self._system.off_route(*(x if gone is None else x[: gone[0]] for x in rows))
@@ -149,7 +152,7 @@ class Watch:
         return None
 
     def _elsewhere(self, rows: Rows) -> Lost | None:
-        """Return the first step that ended on another branch, or passed over a lock."""
+        """Return the first step that ended on another branch or passed over a lock, or None."""
         some = rows.t[[0, len(rows.t) // 2, -1]]
         self._driven = self._driven or is_driven(self._system, some, rows.q[0])
         if not self._driven:
@@ -166,12 +169,12 @@ class Watch:
 
 
 def singular_position(system: MechanicalSystem, rows: Rows) -> float | None:
-    """Return the first time at which Phi_q loses rank between rows; None if it keeps its rank.
+    """Return the first time (s) between `rows` at which Phi_q loses rank; None if it does not.
 
-    A step that changes Phi_q much is followed along the cubic through its ends: it ends early only
-    where parts of 1e-9 of the step still change Phi_q by more than itself. In long runs the
-    search begins with every 16th row: a rank that is lost between two of these turns a row of
-    Phi_q round.
+    A step that changes Phi_q much is followed along the cubic through its ends; following ends
+    early only where parts of 1e-9 of the step still change Phi_q by more than itself. In long runs
+    the search begins with every 16th row: a rank that is lost between two of these rotates a row of
+    Phi_q.
     """
     last = len(rows.t) - 1
     stride = min(max(last // _FEW, 1), _MOST_STRIDE)
@@ -189,7 +192,7 @@ def singular_position(system: MechanicalSystem, rows: Rows) -> float | None:
 
 
 def _singular_within(system: MechanicalSystem, rows: Rows) -> float | None:
-    """Return the first time at which Phi_q loses rank between a few rows, all of which are seen."""
+    """Return the first time (s) at which Phi_q loses rank between `rows`, checking every step."""
     for k in np.flatnonzero(Changes(system).between(rows)):
         step = Rows(*(x[k : k + 2] for x in rows))
         t, end = step.t.tolist()
@@ -201,13 +204,13 @@ def _singular_within(system: MechanicalSystem, rows: Rows) -> float | None:
 
 
 def nearest_to_singular(system: MechanicalSystem, rows: Rows) -> tuple[float, float]:
-    """Return the time at which Phi_q comes nearest to losing rank, and how much nearer it is then.
+    """Return the time (s) at which Phi_q is nearest to losing rank, and the growth of errors there.
 
     Nearness is the smallest singular value of Phi_q W^(-1/2) with rows of length one, W the weights
     of the coordinates. The largest such value of a run over the smallest one is the factor by which
     errors grow along the constraints there. It is taken at some states, evenly spaced and at the
-    ends of the steps that turn the velocity most. What constraints determine alone has no errors
-    that grow; it is left out. The factor is one where that is all.
+    ends of the steps that turn the velocity most. Coordinates that constraints determine alone have
+    no growing errors and are left out; the factor is one if these are all.
     """
     taken, known = system.constraint_pattern.determined
     if np.all(taken):
@@ -230,7 +233,10 @@ def nearest_to_singular(system: MechanicalSystem, rows: Rows) -> tuple[float, fl
 
 
 def half_a_turn_off(system: MechanicalSystem, begin: float, t: Array, q: Array) -> str:
-    """Return in words that a step from `begin`, with these instants, left the root of a drive."""
+    """Return a message if a step from `begin` (s) to the states q at times t left a driver's root.
+
+    It is empty if every driver is on the root that its law leads to.
+    """
     found = system.off_root(t, q)
     if found is None:
         return ""
@@ -241,7 +247,7 @@ def half_a_turn_off(system: MechanicalSystem, begin: float, t: Array, q: Array) 
 
 
 def is_driven(system: MechanicalSystem, t: Array, q: Array) -> bool:
-    """Tell whether the constraints at one place change with time alone, from the first instant."""
+    """Return whether constraints at fixed q change from the first of the times t to others."""
     if system.scleronomic:
         return False
     first, *others = t.tolist()
@@ -250,9 +256,9 @@ def is_driven(system: MechanicalSystem, t: Array, q: Array) -> bool:
 
 
 def _reached_otherwise(system: MechanicalSystem, step: Rows, taken: Array, known: Array) -> str:
-    """Follow a step; return in words how it ended otherwise, nothing if it did not.
+    """Follow a step on its branch; return a message if the step ended elsewhere, else "".
 
-    Constraints `taken` determine the coordinates `known`, both as masks.
+    The constraints in the mask `taken` determine the coordinates in the mask `known`.
     """
     begin, end = step.t.tolist()
     several = (
@@ -271,7 +277,7 @@ def _reached_otherwise(system: MechanicalSystem, step: Rows, taken: Array, known
         guide = None if prescribed else _cubic(Rows(step.t, np.stack([q, found]), step.v))
         reached, place = followed(system, begin, q, end, guide, rows)
         if reached < end:
-            # What is free passes singular places, too: there branches meet.
+            # A motion with free directions may pass singular positions, where branches meet.
             passed = f"{locks(reached)} The step to t = {end:.6g} passed over it."
             return passed if prescribed else ""
         w, least = system.weights[columns], 10 * SMALL * norm(q, system.weights)
@@ -283,7 +289,7 @@ def _reached_otherwise(system: MechanicalSystem, step: Rows, taken: Array, known
 
 
 def _cubic(step: Rows) -> Aim:
-    """Return the cubic through places and velocities at the ends of a step."""
+    """Return the cubic in time through coordinates and velocities at the two ends of a step."""
     (t, end), q, v = step
     h = end - t
 
@@ -296,7 +302,7 @@ def _cubic(step: Rows) -> Aim:
 
 
 def _turned(system: MechanicalSystem, rows: Rows, known: Array) -> Array:
-    """Return in which steps the velocities of coordinates `known` change much, shape (k,)."""
+    """Return in which steps, (k,), velocities of the coordinates in mask `known` change much."""
     weighted = np.sqrt(system.weights[known]) * rows.v[:, known]
     sizes = np.linalg.norm(weighted, axis=1)
     changes = np.linalg.norm(np.diff(weighted, axis=0), axis=1)
@@ -304,7 +310,7 @@ def _turned(system: MechanicalSystem, rows: Rows, known: Array) -> Array:
 
 
 def locks(t: float) -> str:
-    """Return the sentence that joints lock at time t, s."""
+    """Return the sentence that the joints lock at time t, s."""
     return (
         f"The joints lock at t = {t:.6g}: they cannot be closed at the positions that their laws "
         "prescribe beyond it, whatever the step. Change a length or a law."
@@ -312,7 +318,7 @@ def locks(t: float) -> str:
 
 
 def lock(system: MechanicalSystem, t: float, q: Array, end: float) -> str:
-    """Return in words that the joints lock right behind t; nothing if they do not."""
+    """Return a message if the joints lock right after time t, s; empty if they do not."""
     if np.iscomplexobj(q) or not end > t:
         return ""
     taken, known = system.constraint_pattern.determined
@@ -323,7 +329,7 @@ def lock(system: MechanicalSystem, t: float, q: Array, end: float) -> str:
 
 
 def turn_error(system: MechanicalSystem, t: float, h: float, order: int) -> float:
-    """Return (turn / 1 rad)^order for the largest prescribed turn in a step of size h to t."""
+    """Return (angle / 1 rad)^order for the largest prescribed rotation in a step of h (s) to t."""
     rate = float(np.max(system.turn_rate(t - h + h * _PLACES)))
     return (rate * h / _TURN) ** order
 

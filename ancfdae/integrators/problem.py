@@ -1,31 +1,28 @@
-"""The problem of a run, with its scales, and its index-1 form.
+"""The initial value problem of a run with the scales of its unknowns, and its index-1 form.
 
-Index-1 form: accelerations and multipliers of a state, and the state back on the constraints.
+The index-1 form solves for accelerations and multipliers of a state,
 
     [ M      Phi_q^T ] [ a   ]   [ Q     ]
     [ Phi_q  0       ] [ lam ] = [ gamma ],
 
-and the same matrix for their design derivatives.
-
-Positions and velocities that drift are moved onto the constraints in the norm of M,
+and with the same matrix for their design derivatives. Drifted positions and velocities are moved
+onto the constraints in the norm of M,
 
     M dq + Phi_q^T sigma = 0,   Phi_q dq = -Phi,
     M dv + Phi_q^T sigma = 0,   Phi_q dv = nu - Phi_q v,
 
 by one Newton step: the drift of one integration step is small, and its square is round-off. The
-matrix is that at the state before, the right side of the second line is at the moved q. The
-design derivatives of the state are moved onto the derivatives of the constraints in the same way.
-
-The problem of a run: a system, its consistent start and the scales of its unknowns.
+matrix is that at the state before, the right side of the second line is at the moved q. The design
+derivatives of the state are moved onto the derivatives of the constraints in the same way.
 
 **Sizes.** Coordinates are compared in the weighted form sqrt(w_i) q_i, which has one unit for all
-of them. Positions count from the mean position of the start, the place p of the system, and the
-size of a coordinate is the root mean square of its vector, so that no size depends on where a
-scene stands or how it is turned. The scale of q is the root mean square of q - p at the start in
-the weighted form; that of v is the speed that the start has or that its accelerations reach over
-that length; that of the multipliers follows from the forces at the start through the rows of
-Phi_q. Forces that are round-off count as zero: of
-a mechanism at rest they would give a speed of no meaning, 1e-8 of that which it is to have.
+of them. Positions count from the mean position of the start, the place p of the system. The size of
+a coordinate is the root mean square of its vector. So no size depends on where a scene stands or
+how it is rotated. The scale of q is the root mean square of q - p at the start in the weighted
+form. The scale of v is the speed that the start has or that its accelerations reach over that
+length. The scale of the multipliers follows from the forces at the start through the rows of Phi_q.
+Forces that are round-off count as zero: for a mechanism at rest they would give a meaningless speed
+scale, 1e-8 of the speed that the mechanism is to reach.
 """
 
 from __future__ import annotations
@@ -48,7 +45,7 @@ from ancfdae.integrators.start import (
     consistent_start,
     start_sensitivity,
 )
-from ancfdae.kernels import SINGULAR, finite, index_1, norm
+from ancfdae.kernels import SINGULAR, ListAccelerations, finite, norm
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 
@@ -56,7 +53,8 @@ from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 # 106 unknowns, six columns, 6 against 27 us).
 _INVERTED_SIZE = 200
 
-# Solves for rows of right sides, (..., n_q) and (..., n_lam); None for zeros, not for both.
+# Solves the index-1 equations for rows of right sides, (..., n_q) and (..., n_lam); one of the two
+# may be None for zeros.
 Solve: TypeAlias = Callable[[Array | None, Array | None], Array]
 
 
@@ -74,9 +72,9 @@ def stacked(q: Array, v: Array, q_b: Array | None = None, v_b: Array | None = No
 
 
 class Accelerations:
-    """Solves for (a, lam) and keeps the factorised matrix while it does not change.
+    """Solves the index-1 equations for (a, lam); reuses the factorised matrix while unchanged.
 
-    For a constant mass and constant Phi_q it is factorised once in a whole run.
+    With a constant mass matrix and constant Phi_q one factorisation serves the whole run.
     """
 
     def __init__(self, system: MechanicalSystem, matrices: SaddlePoint) -> None:
@@ -88,7 +86,7 @@ class Accelerations:
         self.factorisations = 0
 
     def factors(self, t: float, q: Array) -> Factorization:
-        """Return the factorised matrix at q."""
+        """Return the factors of the index-1 matrix at time t (s) and coordinates q, (n_q,)."""
         Phi_q = self._system.constraint_q(t, q)
         if self._factors is None or not self._unchanged(Phi_q):
             self._factors = self._matrices.factor(self._system.mass(q), Phi_q)
@@ -102,7 +100,7 @@ class Accelerations:
         return Phi_q is self._Phi_q or np.array_equal(Phi_q, self._Phi_q)
 
     def _solver(self, t: float, q: Array) -> Solve:
-        """Return how to solve at q: by the inverse where a matrix is met again."""
+        """Return a function that solves at q: by the inverse matrix where a matrix occurs again."""
         if self._by_inverse is not None and self._constant:
             return self._by_inverse
         before, size, n = self._factors, self._matrices.size, len(q)
@@ -119,7 +117,10 @@ class Accelerations:
         return x[:n], x[n:]
 
     def rows(self, t: float, q: Array, v: Array) -> Array:
-        """Return (a, lam), and rows of design derivatives below if q and v have such rows."""
+        """Return a row (a, lam), (n_q + n_lam,), above one row of derivatives per design variable.
+
+        q and v have the shape (rows, n_q), their design derivatives below them.
+        """
         system, side = self._system, None
         if not system.traits.constant_constraints:
             side = acceleration_side(system, t, q[0], v[0])
@@ -134,12 +135,12 @@ class Accelerations:
         return x
 
     def projected(self, t: float, rows: Array) -> Array:
-        """Return the rows of a state moved onto the constraints."""
+        """Return a state and its derivatives, (2, rows, n_q), moved onto the constraints."""
         system, n, dot = self._system, self._system.n_q, self._system.constraint_pattern.dot
         solve = self._solver(t, rows[0, 0])
 
         def nearest(defect: Array) -> Array:
-            """Smallest changes x with Phi_q x = defect, one row for each column."""
+            """Return the smallest changes x with Phi_q x = defect, a row per column of it."""
             return solve(None, defect.T)[..., :n]
 
         if system.traits.constant_constraints:
@@ -157,19 +158,19 @@ class Accelerations:
         return rows
 
     def rows_of(self, t: Array, states: Array) -> Array:
-        """Return `rows` of k states, (k, 2, rows, n_q)."""
+        """Return `rows` of k states, (k, 2, rows, n_q), as (k, rows, n_q + n_lam)."""
         return np.array([self.rows(s, *state) for s, state in zip(t.tolist(), states, strict=True)])
 
     def projected_of(self, t: Array, states: Array) -> Array:
-        """Return `projected` of k states."""
+        """Return k states, (k, 2, rows, n_q), moved onto the constraints."""
         pairs = zip(t.tolist(), states, strict=True)
         return np.array([self.projected(s, state) for s, state in pairs])
 
-    #: Steps that a kernel takes at once: here every evaluation calls Python.
+    #: Steps that one call of the kernel takes: one, because every evaluation here calls Python.
     steps_at_once: int = 1
 
-    def for_kernel(self, rows: int) -> tuple[Any, ...]:
-        """Return the equations as `explicit_march` takes them for states of some rows."""
+    def for_kernel(self, rows: int) -> Any:
+        """Return the equations for states of `rows` rows, as an `ExplicitRun` takes them."""
 
         def told(
             function: Callable[[float, Array], Array],
@@ -183,10 +184,10 @@ class Accelerations:
             return call
 
         found = told(lambda t, state: self.rows(t, *state))
-        return found, told(self.projected), self._system.n_lam
+        return found, told(self.projected)
 
     def count(self, evaluations: int, projections: int) -> None:
-        """Count what a kernel did; here the functions that it calls do."""
+        """Count a kernel's evaluations; here nothing, as the functions it calls count."""
 
     @property
     def weights(self) -> Array:
@@ -194,43 +195,42 @@ class Accelerations:
         return self._system.weights
 
     def reaction_size(self, t: float, q: Array, lam: Array) -> float:
-        """Weighted norm of Phi_q^T lam, as that of an acceleration a is of weights**0.5 * a."""
+        """Return the norm of W^(-1/2) Phi_q^T lam, comparable to W^(1/2) a for accelerations."""
         force = reaction(self._system, t, q, lam) / np.sqrt(self._system.weights)
         return float(np.linalg.norm(force))
 
 
 @final
 class ListedAccelerations(Accelerations):
-    """Accelerations of a system whose lists of operations a kernel evaluates."""
+    """Accelerations and multipliers of a system whose lists of operations a kernel evaluates."""
 
     steps_at_once = 64
 
     def __init__(self, system: ListedSystem, matrices: SaddlePoint) -> None:
         super().__init__(system, matrices)
         self._lists, self._others = system.index_1, (system.b, matrices.scale)
+        self._made: dict[bool, ListAccelerations] = {}
 
     def rows(self, t: float, q: Array, v: Array) -> Array:
-        """Return (a, lam), and rows of design derivatives below if q and v have such rows."""
+        """Return a row (a, lam), (n_q + n_lam,), above a row of derivatives per variable."""
         return only(self.rows_of(np.array([t]), np.stack([q, v])[None]))
 
     def rows_of(self, t: Array, states: Array) -> Array:
-        """Return `rows` of k states, (k, 2, rows, n_q)."""
-        lists, b, scale = self.for_kernel(states.shape[2])
-        found = index_1(lists, b, scale, False, t, states)
+        """Return `rows` of k states, (k, 2, rows, n_q), as (k, rows, n_q + n_lam)."""
+        found = self.for_kernel(states.shape[2]).at(False, t, states)
         return self._found(found, t, states, self._matrices.size)
 
     def projected(self, t: float, rows: Array) -> Array:
-        """Return the rows of a state moved onto the constraints."""
+        """Return a state and its derivatives, (2, rows, n_q), moved onto the constraints."""
         return only(self.projected_of(np.array([t]), rows[None]))
 
     def projected_of(self, t: Array, states: Array) -> Array:
-        """Return `projected` of k states."""
-        lists, b, scale = self.for_kernel(states.shape[2])
-        found = index_1(lists, b, scale, True, t, states)
+        """Return k states, (k, 2, rows, n_q), moved onto the constraints."""
+        found = self.for_kernel(states.shape[2]).at(True, t, states)
         return self._found(found, t, states, states.shape[3])
 
     def _found(self, found: Array | int, t: Array, states: Array, size: int) -> Array:
-        """Return what a kernel found: no numbers where a value is not finite."""
+        """Return the kernel's result, or NaN if a value is not finite; raise SingularMatrix."""
         self.factorisations += len(t)
         if not isinstance(found, int):
             return found
@@ -238,24 +238,26 @@ class ListedAccelerations(Accelerations):
             raise SingularMatrix
         return np.full((*states.shape[:-1], size), np.nan)
 
-    def for_kernel(self, rows: int) -> tuple[Any, ...]:
-        """Return the equations as `explicit_march` takes them for states of some rows."""
-        return self._lists(rows > 1), *self._others
+    def for_kernel(self, rows: int) -> ListAccelerations:
+        """Return operation lists for states of `rows` rows, as an `ExplicitRun` takes them."""
+        if (rows > 1) not in self._made:
+            self._made[rows > 1] = ListAccelerations(self._lists(rows > 1), *self._others)
+        return self._made[rows > 1]
 
     def count(self, evaluations: int, projections: int) -> None:
-        """Count the matrices that a kernel factorised."""
+        """Count the factorisations of a kernel that evaluated and projected accelerations."""
         self.factorisations += evaluations + (projections if self._system.n_lam else 0)
 
 
 def accelerations(system: MechanicalSystem, matrices: SaddlePoint) -> Accelerations:
-    """Return what solves for the accelerations of a system."""
+    """Return the solver for accelerations of a system; in the kernel for listed systems."""
     if isinstance(system, ListedSystem):
         return ListedAccelerations(system, matrices)
     return Accelerations(system, matrices)
 
 
 def _by_inverse(inverse: Array, n: int) -> Solve:
-    """Solve by the inverse of the transposed matrix."""
+    """Return a function that solves with `inverse`, the inverse of the transposed matrix."""
     on_force, on_side = inverse[:n], inverse[n:]
 
     def solve(force: Array | None, side: Array | None) -> Array:
@@ -270,7 +272,7 @@ def _by_inverse(inverse: Array, n: int) -> Solve:
 
 
 def _joined(force: Array | None, side: Array | None, n: int, size: int) -> Array:
-    """Return right sides as rows; zeros for None."""
+    """Return right sides (force, side) as rows, (..., size); zeros in place of None."""
     known = force if force is not None else side
     assert known is not None
     right = np.zeros((*known.shape[:-1], size), dtype=known.dtype)
@@ -281,7 +283,7 @@ def _joined(force: Array | None, side: Array | None, n: int, size: int) -> Array
     return right
 
 
-# Forces at rest that are smaller than this many times their round-off have no size.
+# Forces at the start below _ROUND_OFF times their round-off count as zero in the scales.
 _ROUND_OFF = 100.0
 # Starts of one system, computed twice, differ by round-off of their projection.
 _SAME = 1e-7
@@ -290,10 +292,10 @@ _SAME = 1e-7
 @final
 @dataclass(frozen=True)
 class Scales:
-    """Positive sizes of q, v, forces and design variables, one per unknown; `place` is p, (n_q,).
+    """Positive scales of q, v, forces and design variables, one per unknown; `place` is p, (n_q,).
 
-    `row` is the length of the rows of Phi_q in the norm of the inverse weights; position, speed and
-    load are the common sizes of sqrt(w) q, sqrt(w) v and Q / sqrt(w).
+    `row`, (n_lam,), holds the lengths of the rows of Phi_q in the norm of the inverse weights;
+    position, speed and load are the common scales of sqrt(w) q, sqrt(w) v and Q / sqrt(w).
     """
 
     place: Array
@@ -308,12 +310,12 @@ class Scales:
 
     @property
     def lam(self) -> Array:
-        """Scale of the multipliers: load over row of the constraints."""
+        """Scale of the multipliers, `load` over `row`, one per constraint, shape (n_lam,)."""
         return self.load / self.row
 
     @property
     def eta(self) -> Array:
-        """Size of the multipliers that keep positions on the constraints (GGL)."""
+        """Scale of the multipliers that keep positions on the constraints (GGL), shape (n_lam,)."""
         return self.speed / self.row
 
     @staticmethod
@@ -352,7 +354,7 @@ class Scales:
 @final
 @dataclass(frozen=True)
 class InitialValueProblem:
-    """A system at its consistent start, with derivatives where sensitivities are asked for."""
+    """A system at its consistent start, with design derivatives if they are requested."""
 
     system: MechanicalSystem
     matrices: SaddlePoint
@@ -362,7 +364,7 @@ class InitialValueProblem:
 
     @classmethod
     def of(cls, system: MechanicalSystem, t_end: float) -> Self:
-        """Return the problem of a system up to t_end, with its consistent start and scales."""
+        """Return the problem of a system up to `t_end`, with consistent start and scales."""
         require_positive("t_end", t_end)
         matrices = saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)[0]
@@ -375,18 +377,22 @@ class InitialValueProblem:
 
     @cached_property
     def accelerations(self) -> Accelerations:
-        """Accelerations and multipliers of states."""
+        """Solver for accelerations and multipliers of the system."""
         return accelerations(self.system, self.matrices)
 
     def differentiated(self, for_accelerations: bool = False) -> Self:
-        """Add the design derivatives of the start; lists `for_accelerations` of a run serve it."""
+        """Return the problem with the design derivatives of its start.
+
+        With `for_accelerations` they are computed by the kernel's lists for accelerations, if there
+        are any, which the run needs anyway.
+        """
         solver = self.accelerations if for_accelerations else None
         rows = solver.rows if isinstance(solver, ListedAccelerations) else None
         derivative = start_sensitivity(self.system, self.matrices, self.initial, rows)
         return replace(self, derivative=derivative)
 
     def require_finite(self) -> None:
-        """Refuse a start at which accelerations, multipliers or derivatives are not finite."""
+        """Raise InvalidInputError if a, lam or design derivatives of the start are not finite."""
         accelerations = (self.initial.a, self.initial.lam)
         for what, arrays in (
             ("accelerations", accelerations),
@@ -399,7 +405,7 @@ class InitialValueProblem:
                 )
 
     def require_run(self, run: Solution, t_end: float, where: str) -> None:
-        """Refuse a run that did not begin as this problem does, or went further than `t_end`."""
+        """Raise InvalidInputError unless `run` starts like this problem and ends by `t_end`."""
         start, scales, system = self.initial, self.scales, self.system
         rule, repair = "must be a run of this model at this design", "Pass the model that it ran."
         sizes = run.q.shape[1], run.lam.shape[1]
@@ -422,7 +428,7 @@ class InitialValueProblem:
 
 
 def vector_sizes(x: Array, d: int) -> Array:
-    """Return for every coordinate the root mean square of its vector of d components, as x.
+    """Return for every coordinate the root mean square of its vector of d components, shaped as x.
 
     The last axis of x holds coordinates vector by vector.
     """

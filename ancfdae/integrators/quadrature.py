@@ -1,10 +1,11 @@
-"""Integrals beside the motion, refined until their own error is within the tolerance.
+"""Integrals during a run, refined until their own error is within the tolerance.
 
-**Multipliers** are solved for at steps and interpolated in between. A solve in every
-point would cost as much as the steps. For a wave of frequency omega polynomials
-through eight nodes, every other step, err by 1e-3 (2 omega h)^8, which is less than what a method
-of order five leaves in a step, (omega h)^6/6, wherever waves are resolved. What no step sees is
-looked for: a force that reactions balance at once moves nothing, however fast it changes.
+**Multipliers** are solved for at steps and interpolated in between; a solve at every quadrature
+point would cost as much as the steps. For a wave of frequency omega polynomials through eight
+nodes, every other step, err by 1e-3 (2 omega h)^8, which is less than the error of a step by a
+method of order five, (omega h)^6/6, wherever waves are resolved. The interpolation is tested away
+from the nodes, because a force that reactions balance at once moves nothing, however fast it
+changes, and so no step resolves it.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ from ancfdae.integrators.integrator import Integrand, PartialIntegral, Points, R
 from ancfdae.integrators.problem import Accelerations, stacked
 from ancfdae.numerics.arrays import Array
 
-# Nodes of a polynomial, and steps from one to the next.
+# Number of nodes of an interpolation polynomial, and steps from one node to the next.
 _NODES, _STRIDE = 8, 2
-# Nodes for each point that is tried, by a solve without derivatives.
+# Number of nodes per point at which the interpolation is tested by a solve without derivatives.
 _TRIED = 8
 
 
 class Trajectory(NamedTuple):
-    """States at k instants, with their design derivatives or None; shapes as in `Points`.
+    """States at k times t, with their design derivatives or None; shapes as in `Points`.
 
-    At steps, a are the accelerations of the solver.
+    `a`, (k, n_q), are the accelerations of the solver if the times are ends of steps.
     """
 
     t: Array
@@ -46,10 +47,10 @@ class Trajectory(NamedTuple):
 
 @final
 class Multipliers:
-    """Finds the multipliers of a run part by part: lam and lam_b, shape (k, n_lam, 1 + n_b).
+    """Computes the multipliers of a run part by part: lam and lam_b, shape (k, n_lam, 1 + n_b).
 
-    Reactions that err by less than `accepted`, relative, or than what the solver's own
-    accelerations leave in the equations of motion, are good enough.
+    Interpolated reactions are accepted if their error is below `accepted` times their mean norm
+    plus the residual force that the solver's own accelerations leave in the equations of motion.
     """
 
     def __init__(self, accelerations: Accelerations, accepted: float) -> None:
@@ -59,7 +60,7 @@ class Multipliers:
         self._smooth = False
 
     def follow(self, steps: Trajectory | None) -> None:
-        """Begin a part of the run, with its steps, start and end included, if they are known."""
+        """Start a part of the run with its steps, both ends included; None if not known."""
         self._following, self._smooth = steps, False
 
     def at(self, motion: Trajectory) -> Array:
@@ -74,7 +75,7 @@ class Multipliers:
         """Store multipliers at every `_STRIDE`-th step; return the mean residual force there.
 
         The residual is that of the solver's own accelerations, in the norm of the weights. The last
-        nodes of the part before are kept: the first polynomials of this part pass through them.
+        nodes of the previous part are kept: the first polynomials of this part pass through them.
         """
         last = len(steps.t) - 1
         nodes = np.append(np.arange(0, last, _STRIDE), last)
@@ -91,7 +92,7 @@ class Multipliers:
         return float(np.mean(np.linalg.norm(left, axis=1)))
 
     def _is_smooth(self, motion: Trajectory, left: float) -> bool:
-        """Try the interpolation at the instants that are farthest from nodes."""
+        """Return whether interpolated multipliers are accurate at the times farthest from nodes."""
         t, after = self._t, self._after(motion.t)
         share = (motion.t - t[after - 1]) / (t[after] - t[after - 1])
         tried = np.argsort(np.abs(share - 0.5))[: 1 + len(t) // _TRIED]
@@ -101,17 +102,17 @@ class Multipliers:
         return error <= self._accepted * self._mean_size(chosen, exact) + left
 
     def _mean_size(self, motion: Trajectory, lam: Array) -> float:
-        """Mean of the sizes of reactions; weighted, so that no unit of a multiplier matters."""
+        """Return the mean weighted norm of reactions Phi_q^T lam, free of units of lam."""
         size = self._accelerations.reaction_size
         instants = zip(motion.t, motion.q, lam, strict=True)
         return float(np.mean([size(float(t), q, x) for t, q, x in instants]))
 
     def _after(self, times: Array) -> Array:
-        """Index of the node behind each time."""
+        """Return the index of the interpolation node after each time."""
         return np.clip(np.searchsorted(self._t, times, side="right"), 1, len(self._t) - 1)
 
     def _between(self, times: Array) -> Array:
-        """Lagrange's polynomials through the nodes around each time."""
+        """Return lam and lam_b at `times`, (k, n_lam, 1 + n_b), by Lagrange polynomials."""
         t = self._t
         first = np.clip(self._after(times) - _NODES // 2, 0, len(t) - _NODES)
         places = first[:, None] + np.arange(_NODES)
@@ -125,7 +126,7 @@ class Multipliers:
         return total
 
     def _solve(self, motion: Trajectory) -> tuple[Array, Array]:
-        """Return multipliers and accelerations, one instant after the other."""
+        """Return lam and lam_b, (k, n_lam, 1 + n_b), and a, (k, n_q), by a solve per time."""
         multipliers, rates = list[Array](), list[Array]()
         for k, t in enumerate(motion.t):
             if k and t == motion.t[k - 1]:  # Where two panels meet.
@@ -150,17 +151,17 @@ _W = 0.5 * np.array([11 / 210, 72 / 245, 125 / 294, 16 / 35, 125 / 294, 72 / 245
 _LOBATTO = 0.5 * np.array([1 / 6, 0.0, 5 / 6, 0.0, 5 / 6, 0.0, 1 / 6])
 _SIMPSON = np.array([1 / 6, 0.0, 0.0, 4 / 6, 0.0, 0.0, 1 / 6])
 KRONROD = Rule(_W, _W - _LOBATTO, _W - _SIMPSON)
-# Estimated error that is accepted, in tolerances: the integral of a run is then within one to ten
-# of them (measured against a thousand panels), and what the states are off by is more.
+# Accepted estimate of the error of an integral, in tolerances: the integral of a run is then right
+# to one to ten tolerances (measured against a thousand panels), less than the error of the states.
 _ACCEPTED = 10.0
 
 
 @final
 class Quadrature:
-    """Feeds integrands part by part.
+    """Adds the integrals of integrands over a run, part by part.
 
-    Where points come without multipliers an integrand is tried without: if that is not a number it
-    reads them, and from then on they are found for it, by `accelerations` (`Multipliers`).
+    Points without multipliers are first given to an integrand as they are: if its value is then
+    NaN, the integrand reads multipliers, and from then on `Multipliers` computes them for it.
     """
 
     def __init__(
@@ -172,14 +173,14 @@ class Quadrature:
 
     @property
     def wanted(self) -> bool:
-        """Whether there is anything to integrate."""
+        """Whether the run has integrands, so that quadrature points are needed."""
         return bool(self._integrands)
 
     def add(self, choices: Iterable[Points], steps: Trajectory | None = None) -> None:
-        """Take in the next part of the run, with its steps if multipliers are to follow them.
+        """Add the next part of the run; multipliers are interpolated between its `steps`.
 
-        The choices are the same part on ever finer panels; each integrand takes the first on which
-        its error is accepted, or the last.
+        `choices` are quadrature points of the same part on ever finer panels; each integrand uses
+        the first choice on which its error is accepted, or the last.
         """
         self._multipliers.follow(steps)
         pending, unfinished = self._integrands, list[tuple[Integrand, PartialIntegral]]()
@@ -199,7 +200,7 @@ class Quadrature:
     def _parts(
         self, points: Points, integrands: Sequence[Integrand]
     ) -> list[tuple[Integrand, PartialIntegral]]:
-        """Evaluate integrands, with multipliers only those that read them."""
+        """Return the integrals over the points; only integrands that read multipliers get these."""
         parts = [(x, x.part(points)) for x in integrands if x not in self._readers]
         if points.lam is None:
             self._readers.update(x for x, part in parts if part.not_finite is not None)
@@ -211,7 +212,7 @@ class Quadrature:
         return others + [(x, x.part(completed)) for x in readers]
 
     def _completed(self, points: Points) -> Points:
-        """Add multipliers where there are none."""
+        """Return the points with multipliers, computed if they are missing."""
         if points.lam is not None:
             return points
         multipliers = self._multipliers.at(

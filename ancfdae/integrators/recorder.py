@@ -1,4 +1,4 @@
-"""Collects states and counters of a run, and makes a `Solution` of them."""
+"""Collects states and counters during a run, and makes a `Solution` of them."""
 
 import time
 from typing import NamedTuple, TypeAlias, final
@@ -12,12 +12,12 @@ from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.outcomes import RunOutcome
 from ancfdae.numerics.arrays import Array
 
-# Rows of q, v, a and lam.
+# Arrays of q, v, a and lam, one row per time point.
 StateRows: TypeAlias = tuple[Array, Array, Array, Array]
 
 
 class Rows(NamedTuple):
-    """Instants, (k,), with coordinates and velocities, (k, n_q)."""
+    """Time points t, (k,), with coordinates q and velocities v, (k, n_q)."""
 
     t: Array
     q: Array
@@ -26,11 +26,12 @@ class Rows(NamedTuple):
 
 @final
 class SolutionRecorder:
-    """Arrays that a run fills row by row, and the counters of its cost (`Statistics`).
+    """Arrays of states that a run fills row by row, and the counters of its cost (`Statistics`).
 
-    There are `rows` instants, the start included; the arrays grow if there are more. `accepted` are
-    the accepted steps where the instants, of a solution of this degree, are not the steps. A
-    solution `before` fills the first rows and counts, of a run that goes on.
+    There is space for `rows` time points, the start included; the arrays grow if there are more.
+    `degree` is the number of time points per step; `accepted` counts the accepted steps where time
+    points are not tied to steps. A continued run starts with the rows and counters of the solution
+    `before`.
 
     Raises
     ------
@@ -84,12 +85,12 @@ class SolutionRecorder:
 
     @property
     def steps(self) -> int:
-        """Number of accepted steps so far."""
+        """Number of accepted steps of the run so far."""
         return max(self.instants - 1, 0) // self._degree if self.accepted is None else self.accepted
 
     @property
     def time(self) -> float:
-        """Time of the last recorded instant."""
+        """Time of the last recorded state; s."""
         return float(self._arrays[0][max(self.instants - 1, 0)])
 
     def record(
@@ -103,10 +104,10 @@ class SolutionRecorder:
         *,
         control: tuple[float, ...] = (),
     ) -> None:
-        """Store a state, its design derivatives (q_b, v_b, a_b, lam_b), and that of step control.
+        """Store a state, its design derivatives (q_b, v_b, a_b, lam_b) and `control`.
 
-        Or rows of several instants. They count only when all of it is stored, so that an interrupt
-        leaves whole rows.
+        `control` is the state of step control. With an array t, (k,), all arrays hold k rows. Rows
+        count only when all are stored, so that an interrupt leaves no incomplete row.
         """
         rows = slice(self.instants, self.instants + np.size(t))
         while rows.stop > len(self._arrays[0]):
@@ -116,34 +117,35 @@ class SolutionRecorder:
         self.instants, self._control = rows.stop, control
 
     def room(self, count: int) -> StateRows:
-        """Return the next `count` rows of q, v, a and lam, to be filled; `take` counts them."""
+        """Return the next `count` rows of q, v, a and lam as views to fill; `take` counts them."""
         while self.instants + count > len(self._arrays[0]):
             self._arrays = [np.concatenate([x, np.zeros_like(x)]) for x in self._arrays]
         q, v, a, lam = (x[self.instants : self.instants + count] for x in self._arrays[1:5])
         return q, v, a, lam
 
-    def take(self, t: Array) -> None:
-        """Count rows that were written, at these instants."""
+    def take(self, t: Array, control: tuple[float, ...] = ()) -> None:
+        """Add rows that are already written, at times t, s, and store the state of step control."""
         self._arrays[0][self.instants : self.instants + len(t)] = t
         self.instants += len(t)
+        self._control = control
 
     def last(self, count: int) -> Rows:
-        """Return the last instants, with coordinates and velocities."""
+        """Return the last `count` time points with coordinates and velocities."""
         t, q, v, *_ = (x[self.instants - count : self.instants] for x in self._arrays)
         return Rows(t, q, v)
 
     def cut(self, count: int) -> None:
-        """Forget instants after the first ones of this count, by whole steps."""
+        """Delete time points after the first `count`, and a step that is thus incomplete."""
         self.instants = 1 + (count - 1) // self._degree * self._degree
         self._control = ()
 
     def back(self) -> None:
-        """Forget the last step, which counts as rejected."""
+        """Delete the last recorded step and count it as rejected."""
         self.cut(self.instants - 1)
         self.rejected += 1
 
     def restart(self) -> None:
-        """Forget all instants but the first."""
+        """Delete all recorded states after the first."""
         self.instants, self._control = 1, ()
 
     def solution(self, outcome: RunOutcome) -> Solution:

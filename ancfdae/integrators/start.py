@@ -1,4 +1,4 @@
-"""Consistent starts: velocities on their constraints, accelerations, multipliers, derivatives.
+"""Consistent starts: positions and velocities on their constraints, accelerations, multipliers.
 
 Steps of a start:
 
@@ -7,10 +7,9 @@ Steps of a start:
 2. Velocities likewise: M (v - v_start) + Phi_q^T sigma_v = 0, Phi_q v = nu(q).
 3. Accelerations and multipliers: M a + Phi_q^T lam = Q, Phi_q a = gamma(q, v).
 
-A start that is declared consistent (`project_start` false) is refused if it
-violates a constraint by more than round-off can explain; 1 and 2 then only
-remove that round-off. The design derivatives differentiate 1 to 3 as they
-stand, so they are exact for projected starts too.
+A start that is declared consistent (`project_start` false) is rejected if it violates a constraint
+by more than round-off can explain; 1 and 2 then only remove that round-off. The design derivatives
+differentiate 1 to 3 as they stand, so they are exact for projected starts too.
 """
 
 from __future__ import annotations
@@ -41,20 +40,20 @@ from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 # above accumulated round-off of coordinates (1e-14), far below any intended inconsistency.
 _CONSISTENT = 1e-8
 _REPAIR = "Let `start` follow self.b, or set project_start=True to move it onto the constraints."
-# Relative violation that the derivatives of a declared start may have: complex steps are exact.
+# Largest relative violation by design derivatives of a declared start: complex steps are exact.
 _SAME_RATE = 1e-6
 _PROJECTION_ITERATIONS = 50
-# Corrections of the positions below this part of them end the projection.
+# The projection ends if a correction of the positions is below _CLOSED times their norm.
 _CLOSED = 1e-12
-# Numbers of stages that close a gap, one after the other until one does.
+# Numbers of stages in which the gaps of the constraints are closed, tried in this order.
 _STAGES = (1, 8, 64)
 
-# q and sigma_q of step 1, and M with Phi_q factorised if it is at hand.
+# q and sigma_q of step 1, and the factors of [M Phi_q^T; Phi_q 0] if they were computed.
 _Closed: TypeAlias = tuple[Array, Array, Factorization | None]
 
 
 class InitialState(NamedTuple):
-    """A consistent state at time t: coordinates, velocities, accelerations and multipliers."""
+    """A consistent state at time t (s): q, v and a, (n_q,), and multipliers lam, (n_lam,)."""
 
     t: float
     q: Array
@@ -75,11 +74,11 @@ class InitialSensitivity(NamedTuple):
 def consistent_start(
     system: MechanicalSystem, matrices: SaddlePoint, t: float
 ) -> tuple[InitialState, Factorization]:
-    """Solve steps 1 to 3 of the module description; return the state, and M with Phi_q factorised.
+    """Return the consistent start of a system and the factors of [M Phi_q^T; Phi_q 0] there.
 
-    InconsistentStartError if the declared start violates a constraint and `project_start` is false,
-    or if the projection does not converge; InvalidInputError if it or the forces at it are not
-    finite.
+    Raises InconsistentStartError if the declared start violates a constraint and `project_start` is
+    false, or if the projection does not converge; InvalidInputError if the start, or the forces at
+    it, are not finite.
     """
     q, v = system.start()
     if not (finite(q) and finite(v)):
@@ -90,7 +89,7 @@ def consistent_start(
     # Forces that are not finite at the start are refused here, not warned about.
     with np.errstate(all="ignore"):
         declared, (q, _, factors) = q, _project_position(system, matrices, q, t)
-        # Constraints were checked at the declared start, which may be where they stand already.
+        # Redundancy was checked at the declared start; check again if projection moved it.
         moved = norm(q - declared, system.weights) > _CLOSED * norm(declared, system.weights)
         if moved and not system.traits.linear_constraints:
             refuse_redundant(system, matrices, system.constraint_q(t, q))
@@ -109,7 +108,7 @@ def consistent_start(
 
 
 def at_rest(v: Array, side: Array) -> bool:
-    """Whether velocities and what joints ask for in their place, or accelerations, all vanish."""
+    """Return whether v and `side` are zero: velocities or accelerations that drivers prescribe."""
     return not (v.any() or side.any())
 
 
@@ -119,10 +118,10 @@ def start_sensitivity(
     state: InitialState,
     rows: Callable[[float, Array, Array], Array] | None = None,
 ) -> InitialSensitivity:
-    """Differentiate `consistent_start` in the design variables.
+    """Return the design derivatives of `consistent_start`.
 
-    `rows` returns (a, lam) above its design derivatives, from q and v above theirs (`Accelerations`
-    of a run that evaluates them anyway); by default they are solved for here.
+    `rows` returns (a, lam) above their design derivatives, from q and v above theirs:
+    `Accelerations. rows` of a run that evaluates them anyway. By default they are solved for here.
     """
     t, q, v, a, lam = state
     moves = _Moves.of(system, matrices, state)
@@ -140,7 +139,7 @@ def start_sensitivity(
 def _motion_sensitivity(
     system: MechanicalSystem, state: InitialState, moves: _Moves
 ) -> tuple[Array, Array]:
-    """Differentiate q and v of `consistent_start` in the design variables, (n_q, n_b) each."""
+    """Return the design derivatives of q and v of `consistent_start`, (n_q, n_b) each."""
     t, q, v, _, lam = state
     q_start, _ = system.start()
     q_sb, v_sb = system.start_b()
@@ -167,12 +166,13 @@ def _refuse_inconsistent_derivatives(
     declared: tuple[Array, Array],
     projected: tuple[Array, Array],
 ) -> None:
-    """Refuse a start that satisfies its constraints at this design only.
+    """Raise InconsistentStartError if a start satisfies its constraints at this design only.
 
-    Its derivatives miss Phi_q q_b + Phi_b = 0, or the same of velocities, by the change that
-    projection makes. Both are measured in the norm of the weights, against the larger of the two
-    and the size of the motion per relative change of the variable. Scenes, which close their
-    joints, write their own derivatives and are not asked.
+    Its derivatives then miss Phi_q q_b + Phi_b = 0, or the same of velocities, by the change that
+    projection makes: `projected` minus `declared`. The change is compared, in the norm of the
+    weights, with the larger of the two and with the size of the motion per relative change of the
+    variable. Scenes close their joints by construction, have derivatives of their own and are not
+    checked.
     """
     if system.traits.project_start or not system.n_lam:
         return
@@ -196,9 +196,10 @@ def _refuse_inconsistent_derivatives(
 
 @final
 class _Moves(NamedTuple):
-    """How a declared start is moved: q - q_start and sigma_q, v - v_start and sigma_v.
+    """Changes from a declared to its consistent start: dq and sigma_q, dv and sigma_v.
 
-    `moving` and `factors` are the factorised matrices of steps 1, differentiated, and 2.
+    `moving` are the factors of the differentiated matrix of step 1, `factors` of the matrix of step
+    2.
     """
 
     dq: Array
@@ -224,7 +225,7 @@ class _Moves(NamedTuple):
 
 
 class Covectors(NamedTuple):
-    """Derivatives of a number in the consistent start, and what goes past it to the design."""
+    """Adjoint vectors: derivatives of a number in q, v, a, lam of the start, and directly in b."""
 
     q: Array
     v: Array
@@ -233,16 +234,16 @@ class Covectors(NamedTuple):
     b: Array
 
     def plus(self, other: Covectors) -> Covectors:
-        """Return the sum with other adjoint vectors."""
+        """Return the sum of these adjoint vectors and `other`."""
         return Covectors(*(x + y for x, y in zip(self, other, strict=True)))
 
 
 @final
 class AccelerationsAdjoint:
-    """Transpose of the derivatives of a and lam in q, v and b at one instant.
+    """Transpose of the derivatives of a and lam in q, v and b at one time.
 
-    With g_1 = M a + Phi_q^T lam - Q, g_2 = Phi_q a - gamma, and mu and zeta from covectors on a and
-    lam by a solve with the transposed matrix,
+    With g_1 = M a + Phi_q^T lam - Q, g_2 = Phi_q a - gamma, and mu and zeta from the adjoint
+    vectors of a and lam by a solve with the transposed matrix,
 
         on_q = -((g_1)_q^T mu + (g_2)_q^T zeta)     (g_2)_q = d^2Phi_q/dt^2
         on_v = -((g_1)_v^T mu + (g_2)_v^T zeta)     (g_2)_v = 2 dPhi_q/dt
@@ -260,7 +261,7 @@ class AccelerationsAdjoint:
         self._second_rate = system.constraint_q(t, q, v, a)
 
     def pull_back(self, on_a: Array, on_lam: Array) -> tuple[Array, Array, Array]:
-        """Return the adjoint vectors of q, v and b from given ones of a and lam."""
+        """Return adjoint vectors of q, v, (n_q,), and b, (n_b,), from given ones of a and lam."""
         mu, zeta = solve_transposed(self._factors, on_a, on_lam)
         system, (t, q, v, a, lam) = self._system, self.state
         on_b = -system.pull_back(self._t, self._states, (mu[None], np.zeros_like(lam[None])))
@@ -268,7 +269,7 @@ class AccelerationsAdjoint:
         return *self._on_states(mu, zeta), on_b
 
     def matrices(self) -> tuple[Array, Array]:
-        """Return the derivatives of on_q and on_v in on_a, shape (n_q, n_q)."""
+        """Return the Jacobians (da/dq)^T and (da/dv)^T of the accelerations, (n_q, n_q) each."""
         n_q, n_lam = self._system.n_q, self._system.n_lam
         return self._on_states(
             *solve_transposed(self._factors, np.eye(n_q), np.zeros((n_lam, n_q)))
@@ -288,12 +289,13 @@ def pull_back_start(
 ) -> Array:
     """Return the design derivative of a number through the start, shape (n_b,).
 
-    The transpose of `start_sensitivity`, in reverse order: one transposed solve for each of 3, 2
-    and 1, independent of the number of design variables.
+    `on` are its adjoint vectors. This is the transpose of `start_sensitivity`, in reverse order:
+    one transposed solve for each of steps 3, 2 and 1, independent of the number of design
+    variables.
     """
     moves = _Moves.of(system, matrices, state)
     if type(system).start_pull_back is MechanicalSystem.start_pull_back:
-        # The transpose below takes as many complex steps.
+        # Checks the derivatives of the start; the transpose below costs as many complex steps.
         _motion_sensitivity(system, state, moves)
     (t, q, v, *_), none = state, np.zeros(system.n_lam)
     K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
@@ -350,9 +352,9 @@ def _factor_mass(
 def _project_position(
     system: MechanicalSystem, matrices: SaddlePoint, q_start: Array, t: float
 ) -> _Closed:
-    """Newton's method for step 1; returns q, sigma_q, and M with Phi_q factorised if at hand.
+    """Return q, sigma_q of step 1 by Newton's method, and factors of M with Phi_q if computed.
 
-    Where it does not converge, the gap is closed in stages.
+    Where Newton's method does not converge, the gaps are closed in stages.
     """
     gap = system.constraint(t, q_start)
     if not gap.any():
@@ -383,9 +385,9 @@ def _close_gap(
     guess: tuple[Array, Array],
     left: Array,
 ) -> _Closed | None:
-    """Newton's method for step 1 with Phi = left; None if it does not converge.
+    """Solve step 1 with Phi = left by Newton's method from `guess`; None if it does not converge.
 
-    The last correction is applied, so the error left is the square of the tolerance.
+    The last correction is applied, so the remaining error is the square of the tolerance.
     """
     q, sigma_q = guess
     scale, settled = norm(q_start, system.weights), 0
@@ -410,11 +412,13 @@ def _close_gap(
 
 
 def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float) -> None:
-    """Compare every constraint with the motion, both in the norm of the weights.
+    """Raise InconsistentStartError if the declared start violates a constraint beyond round-off.
 
-    |Phi_k| / |Phi_qk| is the distance to the constraint; it is measured against |q|, and
-    likewise |Phi_q v - nu| / |Phi_qk| against |v|. Both ratios are free of units. A drive that
-    starts at rest gives speeds a size, too: sqrt(|q| |q''|) of the accelerations that it asks for.
+    |Phi_k| / |Phi_qk| is the distance to the constraint; it is measured against |q|, and likewise
+    |Phi_q v - nu| / |Phi_qk| against |v|, all in the norm of the weights. Both ratios are free of
+    units. A driver that starts at rest gives speeds a size, too: sqrt(|q| |q''|) of the
+    accelerations
+    that it prescribes.
     """
     pattern, values = system.constraint_pattern, system.constraint_q(t, q)
     squared = values.real**2 / system.weights[pattern.columns]

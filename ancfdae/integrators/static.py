@@ -1,4 +1,4 @@
-"""Equilibrium as a run of one instant, so that every gradient method differentiates it."""
+"""Equilibrium as a run with one time point, so that every gradient method differentiates it."""
 
 from dataclasses import dataclass
 from typing import final
@@ -16,12 +16,12 @@ from ancfdae.statics.equilibrium import MAX_STEPS, Tangent, find_equilibrium
 @final
 @dataclass(frozen=True)
 class Static(AdjointIntegrator):
-    """Find the equilibrium instead of a motion; its solution has one instant.
+    """An integrator that finds the equilibrium, not a motion; its solution has one time point.
 
     Parameters
     ----------
     max_steps : int
-        Attempted steps of the load.
+        Largest number of attempted load steps.
     """
 
     max_steps: int = MAX_STEPS
@@ -39,7 +39,7 @@ class Static(AdjointIntegrator):
         sensitivities: bool = False,
         progress: bool = False,
     ) -> Solution:
-        """Return the equilibrium at t = 0 as a solution; `t_end` and `progress` do not matter."""
+        """Return the equilibrium at t = 0 as a solution; `t_end` and `progress` are ignored."""
         return find_equilibrium(
             system, max_steps=self.max_steps, sensitivities=sensitivities
         ).solution

@@ -1,4 +1,4 @@
-"""Integrators that take one step after another under a control of the step."""
+"""Base class of the one-step integrators HHT and Radau, whose steps a `StepControl` chooses."""
 
 import abc
 import time
@@ -28,21 +28,22 @@ from ancfdae.integrators.step_control.contracts import OneStepMethod, Reached, m
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
 
-# Newton's method stops well below the error of a step.
+# Default tolerance of Newton's method, as a fraction of the relative error tolerance of a step.
 _SHARE = 1e-3
-# What is left of the forces disturbs stiff damped beams far more than its size says (measured at
-# rtol 1e-3, E = 2e11 Pa: states wrong by 43 times rtol with 1e-6, by one with 1e-9, for a tenth
-# more time).
+# Largest default tolerance of Newton's method. The remaining residual force disturbs stiff damped
+# beams far more than its size suggests (measured at rtol 1e-3, E = 2e11 Pa: states wrong by 43
+# times rtol with 1e-6, by one with 1e-9, for a tenth more time).
 _LOOSEST = 1e-9
-# Of what a user asks for: above it Newton's method would accept its first guess.
+# Largest tolerance that a user may give: above it Newton's method would accept its first guess.
 _LARGEST = 0.1
 EXACT = 1e-14
 
 
 class SteppedIntegrator(AdjointIntegrator):
-    """An integrator under `StepControl`: its runs, forward and with derivatives.
+    """An integrator under a `StepControl`: its forward runs, with and without derivatives.
 
-    Solutions have `degree` instants for each step, and the polynomials between them its degree.
+    A solution has `degree` time points per step, between which the motion is interpolated by a
+    polynomial of this degree.
     """
 
     checks_contacts: ClassVar[bool] = True
@@ -61,7 +62,7 @@ class SteppedIntegrator(AdjointIntegrator):
         newton_tolerance: float | None,
         max_iterations: int,
     ) -> None:
-        """Validate and set what all have."""
+        """Validate and store the settings that HHT and Radau share."""
         name = type(self).__name__
         control = _control(name, steps, step, rtol)
         if newton_tolerance is None:
@@ -80,31 +81,31 @@ class SteppedIntegrator(AdjointIntegrator):
 
     @property
     def differentiates_runs(self) -> bool:
-        """Not where derivatives are controlled along with the motion."""
+        """Whether `resume` can add derivatives to a run: not if they control its steps."""
         return not (isinstance(self.steps, AdaptiveSteps) and self.steps.sensitivities)
 
     @abc.abstractmethod
     def _stepper(
         self, problem: InitialValueProblem, t_end: float, sizes_b: Array, recorder: SolutionRecorder
     ) -> OneStepMethod[Any]:
-        """Return the one-step method of a run; `sizes` are the sizes of the derivatives."""
+        """Return the one-step method of a run; `sizes_b` are sizes of the design derivatives."""
 
     @abc.abstractmethod
     def _state_after(self, run: Solution) -> Any:
-        """Return the state of the method after a run of one step at least."""
+        """Return the internal state of the method after a run of at least one step."""
 
     @abc.abstractmethod
     def _derivatives(
         self, problem: InitialValueProblem, run: Solution, progress: bool
     ) -> tuple[list[Array], Verdict]:
-        """Return q_b, v_b, a_b and lam_b of a run of one step at least, and how the pass ended."""
+        """Return q_b, v_b, a_b and lam_b of a run of at least one step, and how the pass ended."""
 
     def _estimated(self, solution: Solution, scales: Scales) -> Solution:
-        """Return the solution with estimates of its errors, if there are any."""
+        """Return the solution with estimates of its errors if the method has such estimates."""
         return solution
 
     def back_factorisations(self, solution: Solution) -> int:
-        """Return the steps: one matrix each."""
+        """Return the number of steps of the run: `pull_back` factorises one matrix for each."""
         return solution.statistics.steps
 
     @final
@@ -114,7 +115,10 @@ class SteppedIntegrator(AdjointIntegrator):
 
     @final
     def _known_instants(self, t_end: float) -> Array:
-        """Return the ends of all steps of a run; refuse steps that are not known before."""
+        """Return the end times of all steps of a run to `t_end`, s.
+
+        Raise InvalidInputError if the steps are not known in advance.
+        """
         if isinstance(self.steps, FixedSteps | PrescribedSteps):
             return self.steps.instants(t_end)
         name, rule = type(self).__name__, "needs steps that are known before the run"
@@ -122,10 +126,10 @@ class SteppedIntegrator(AdjointIntegrator):
         raise InvalidInputError(f"{name}.steps", rule, repr(self.steps), repair)
 
     def frozen(self, solution: Solution) -> Self:
-        """Return the integrator that repeats the steps of a run, whatever the design.
+        """Return the integrator that repeats the steps of `solution` at any design.
 
-        Steps under error control jump with the design, so no derivative of the run exists. Every
-        method differentiates it at the steps as they were taken.
+        Steps under error control jump with the design, so the run as a function of the design has
+        no derivative. Every sensitivity method differentiates it at the steps as they were taken.
         """
         steps = self.steps.frozen(solution.t[:: self.degree])
         return self if steps is self.steps else self._changed(steps=steps)
@@ -136,7 +140,7 @@ class SteppedIntegrator(AdjointIntegrator):
         return self._changed(steps=steps)
 
     def refined(self, solution: Solution) -> Self:
-        """Return the integrator that halves every step of a run."""
+        """Return the integrator that halves every step of `solution`."""
         steps, tolerance = self.steps.refined(solution.t[:: self.degree]), self.newton_tolerance
         if not isinstance(steps, FixedSteps):
             tolerance = max(EXACT, tolerance / 4)
@@ -150,7 +154,7 @@ class SteppedIntegrator(AdjointIntegrator):
         sensitivities: bool = False,
         progress: bool = False,
     ) -> Solution:
-        """Integrate from t = 0 to `t_end`, where given steps must end."""
+        """Integrate the motion from t = 0 to `t_end` (s), where prescribed steps must end."""
         return self._integrate(system, t_end, None, sensitivities, progress)
 
     def resume(
@@ -217,7 +221,7 @@ class SteppedIntegrator(AdjointIntegrator):
         return self._estimated(replace(solution, statistics=statistics), scales)
 
     def _derivatives_along(self, system: MechanicalSystem) -> bool:
-        """Whether derivatives are integrated with the motion and controlled."""
+        """Return whether design derivatives are integrated with the motion and control steps."""
         if self.differentiates_runs:
             return False
         if np.iscomplexobj(system.b):
@@ -230,14 +234,14 @@ class SteppedIntegrator(AdjointIntegrator):
         return system.n_b > 0
 
     def _rough(self) -> Self:
-        """Return the integrator of the run from which the sizes of the derivatives are read."""
+        """Return the integrator of the rough run that gives the sizes of the design derivatives."""
         assert isinstance(self.steps, AdaptiveSteps)
-        # What Newton's method leaves of the forces must not pass for the derivative in a variable
-        # that scales masses and forces alike.
+        # The residual force that Newton's method leaves must not be taken for the derivative in a
+        # variable that scales masses and forces alike.
         return self._changed(steps=self.steps.rough(), newton_tolerance=EXACT)
 
     def _changed(self, **changes: Any) -> Self:
-        """Return a copy with other settings, without repeating their warnings."""
+        """Return a copy with some settings changed; warnings about settings are not repeated."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", StabilityWarning)
             settings: Any = self  # Every kind is a frozen dataclass.
@@ -245,7 +249,7 @@ class SteppedIntegrator(AdjointIntegrator):
             return changed
 
     def differentiate(self, system: MechanicalSystem, solution: Solution) -> Solution:
-        """Add the design derivatives of a run of this integrator (eqs. 22-25).
+        """Return `solution`, a run of this integrator, with its design derivatives (eqs. 22-25).
 
         If a matrix is singular or the pass is interrupted, the solution is cut after the last state
         that has derivatives, and its outcome says so.
@@ -273,7 +277,7 @@ class SteppedIntegrator(AdjointIntegrator):
 def _control(
     name: str, steps: StepControl | float | None, step: float | None, rtol: float | None
 ) -> StepControl:
-    """Return the control of the step, given in full or in short."""
+    """Return the step control from exactly one of `steps`, `step` (s) and `rtol`."""
     given: list[Any] = [x for x in (steps, step, rtol) if x is not None]
     if len(given) != 1:
         raise InvalidInputError(

@@ -48,7 +48,9 @@ template <class T> INLINE void csr_times(const Csr<T> *m, const T *x, T *out)
 enum { AT_END, AT_START, AT_GAUSS, RATE_AT_GAUSS = AT_GAUSS + 3, ALL_INSTANTS = RATE_AT_GAUSS + 3 };
 /* How a march ends: with all steps, or before one that needs factors at Gauss points, whose matrix
  * is indefinite and needs a band, that no time is left for, or that is not solved: since Newton's
- * method does not converge, a residual is not finite, or a matrix is singular. */
+ * method does not converge, a residual is not finite, or a matrix is singular. Under error control
+ * also before one whose error is too large however short it is, where the step before the first one
+ * is to be repeated, or the run is to begin anew, and where a law has raised an error of Python. */
 enum {
     ALL_TAKEN,
     NEEDS_GAUSS,
@@ -56,7 +58,11 @@ enum {
     OUT_OF_TIME,
     NO_CONVERGENCE,
     RESIDUAL_NOT_FINITE,
-    MATRIX_SINGULAR
+    MATRIX_SINGULAR,
+    ERROR_TOO_LARGE,
+    STEP_BEFORE,
+    BEGIN_ANEW,
+    LAW_RAISED
 };
 
 /* Corrections from a guess close to the solution shrink by this factor at least. */
@@ -740,4 +746,158 @@ Size marched(const Plan<T> *p, Room<T> *r, Before<T> *b, Size k, const double *h
     }
     *ends = ALL_TAKEN;
     return k;
+}
+
+/* Tables of factors of one step, rows of the tables of `marched`, with (turn / 1 rad)^order. */
+template <class T> struct StepTables {
+    const T *of_joints, *of_loads;
+    Size instants;
+    double turn;
+};
+
+/* What laws say of a step from t to `end`; without laws factors do not change, and are the times in a
+ * system of one's own, which begin at `start`. */
+template <class T> struct StepLaws {
+    T times[ALL_INSTANTS];
+    double start;
+
+    explicit StepLaws(double at) : start(at) {}
+    virtual ~StepLaws() = default;
+    /* Whether they are known: else an error of Python is set. */
+    virtual bool at(const MarchRules *rules, double t, double end, double h, StepTables<T> *to)
+    {
+        times[AT_END] = start + end, times[AT_START] = start + t;
+        for (int k = 0; k < 3; k++)
+            times[AT_GAUSS + k] = times[RATE_AT_GAUSS + k] = start + (t + rules->places[k] * h);
+        *to = {times, times, ALL_INSTANTS, 0};
+        return true;
+    }
+};
+
+/* A run under error control: the tolerance, relative and the least of each coordinate, whose vectors
+ * have d numbers and count from a place; where it stands; and rows of states, of which the last one
+ * is `taken`: rows of `marched`, and a, ends, sizes of the motion and numbers of the filter. */
+template <class T> struct ControlledRun {
+    const Plan<T> *plan;
+    Room<T> *room;
+    StepFilter *filter;
+    StepLaws<T> *laws;
+    const Attempt<T> *how;
+    Size n_stops, d, n, most;
+    const double *stops, *least, *place;
+    double rtol, t, last, until;
+    Before<T> first;
+    T *rows[4], *a;
+    double *ends, *motion;
+    StepFilter *filters;
+    Size taken, rejected;
+    Ending ending;
+};
+
+/* The state after some of the steps. */
+template <class T> Before<T> state_after(const ControlledRun<T> *c, Size steps)
+{
+    Size n_q = c->plan->n_q, k = steps - 1;
+    if (steps == 0)
+        return c->first;
+    return {c->rows[0] + k * n_q, c->rows[1] + k * n_q,           c->a + k * n_q,
+            c->rows[3] + k * c->plan->n_lam, c->rows[2] + k * n_q, c->motion[k]};
+}
+
+/* Error e of a step of HHT-I3 by the rise of a, with the sizes of vectors before and behind it. */
+template <class T>
+double step_error(const ControlledRun<T> *c, double h, const T *before, const T *after,
+                  const T *a_before, const T *a)
+{
+    const Plan<T> *p = c->plan;
+    double alpha = p->rules.alpha, sum = 0, scale = -(1 + 3 * (alpha * alpha)) / 12 * (h * h);
+    for (Size i = 0; i < p->n_q; i += c->d) {
+        double of_before = 0, of_after = 0;
+        for (Size k = i; k < i + c->d; k++) {
+            double x = real_part(before[k]) - c->place[k], y = real_part(after[k]) - c->place[k];
+            of_before += x * x, of_after += y * y;
+        }
+        double size = c->rtol * sqrt(fmax(of_before, of_after) / (double)c->d);
+        if (!isfinite(of_before + of_after))
+            return NAN;
+        for (Size k = i; k < i + c->d; k++) {
+            double delta = scale * real_part(a[k] - a_before[k]);
+            double ratio = delta * (c->filter->t_end / h) / (size + c->least[k]);
+            sum += ratio * ratio;
+        }
+    }
+    return sqrt(sum / (double)p->n_q);
+}
+
+/* Try a step of size h to `end` from the state after those taken; writes the state behind it, and e
+ * where it is solved: 0, or as `marched`. */
+template <class T> int tried(ControlledRun<T> *c, double h, double end, double *error)
+{
+    const Plan<T> *p = c->plan;
+    Room<T> *r = c->room;
+    StepTables<T> tables;
+    if (!c->laws->at(&p->rules, c->t, end, h, &tables))
+        return LAW_RAISED;
+    Before<T> old = state_after(c, c->taken), begin = old;
+    StepCoefficients of = coefficients_of_step(h, p->rules.alpha);
+    double ratio = h / c->last;
+    Size counts[3];
+    if (ratio != 1) {
+        for (Size i = 0; i < p->n_q; i++)
+            r->start[i] = old.A[i] + ratio * (old.a[i] - old.A[i]);
+        begin.a = r->start;
+    }
+    memcpy(counts, r->counts, sizeof counts);
+    int ends = stepped<T>(p, r, &of, &begin, tables.of_joints, tables.instants, tables.of_loads,
+                          c->how, &c->ending);
+    if (ends && ends < NO_CONVERGENCE)
+        memcpy(r->counts, counts, sizeof counts);
+    if (ends)
+        return ends;
+    Size k = c->taken;
+    T *q = c->rows[0] + k * p->n_q, *a = c->a + k * p->n_q;
+    state_of<T>(p, r, &of, old.A, r->a, q, c->rows[1] + k * p->n_q, c->rows[2] + k * p->n_q);
+    memcpy(c->rows[3] + k * p->n_lam, r->lam, (size_t)p->n_lam * sizeof(T));
+    memcpy(a, r->a, (size_t)p->n_q * sizeof(T));
+    c->ends[k] = end, c->motion[k] = c->ending.motion;
+    double found = step_error<T>(c, h, old.q, q, begin.a, a);
+    *error = tables.turn > found || isnan(tables.turn) ? tables.turn : found;
+    return 0;
+}
+
+/* Take steps under error control until there are `most`, the run ends, or the clock says so. */
+template <class T> int controlled(ControlledRun<T> *c)
+{
+    double begin = c->t, first = c->last, h, end;
+    while (c->taken < c->most) {
+        if (step_planned(c->filter, c->n_stops, c->stops, c->t, &h, &end) != STEP_PLANNED)
+            return ALL_TAKEN;
+        double error = NAN;
+        int ends = tried<T>(c, h, end, &error);
+        if (ends == LAW_RAISED || ends == MATRIX_SINGULAR || (ends && ends < NO_CONVERGENCE))
+            return ends;
+        Size next = step_judged(c->filter, c->n, c->t, h, !ends, error);
+        if (next > c->n) {
+            c->filters[c->taken++] = *c->filter;
+            c->n = next, c->t = end, c->last = h;
+        } else {
+            c->rejected++;
+            if (next < 0)
+                return ends ? ends : ERROR_TOO_LARGE;
+            if (next == 0)
+                return BEGIN_ANEW;
+            if (next < c->n && c->taken == 0)
+                return STEP_BEFORE;
+            if (next < c->n) {
+                c->rejected++, c->taken--, c->n = next;
+                c->t = c->taken ? c->ends[c->taken - 1] : begin;
+                c->last = c->taken == 0  ? first
+                          : c->taken == 1 ? c->t - begin
+                                          : c->t - c->ends[c->taken - 2];
+            }
+        }
+        if (seconds_now() > c->until)
+            return OUT_OF_TIME;
+    }
+    return ALL_TAKEN;
 }

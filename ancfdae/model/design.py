@@ -1,4 +1,4 @@
-"""Design variables: named numbers of a scene that sensitivities are taken for."""
+"""Design variables: named numbers of a scene with respect to which sensitivities are computed."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -21,41 +21,41 @@ from ancfdae.numerics.arrays import Array
 # The owner may contain dots: joints are named like pin(rod@0.5) by default.
 _TARGET = re.compile(r"(.+)\.([A-Za-z_]\w*)(?:\[(\d+)\])?")
 
-# Entries of a symmetric tensor, in the order of a field that holds one.
+# Components of a symmetric tensor, in the order in which a field holds its six entries.
 _TENSOR = ("xx", "yy", "zz", "xy", "xz", "yz")
 
 
 class Designable:
-    """A dataclass with numbers that design variables can drive."""
+    """Base class of dataclasses with numbers that design variables can drive."""
 
-    # The fields that hold them, each with the rule that its value must obey, called with the place
-    # for the error and the value. A field holds a number, which is a design target by the name of
-    # the field; a vector, by the first word of the name and the axis (``force_vector`` gives
-    # ``force_x``, ``force_y``); or another `Designable`, by its targets. It may hold None where
-    # that is its default.
+    # Names of the fields with design numbers, each with the function that checks its value, called
+    # with the `where` of error messages and the value. A field holds a number, which is a design
+    # target by the name of the field; a vector, by the first word of the name and the axis
+    # (``force_vector`` gives ``force_x``, ``force_y``); or another `Designable`, by its targets. It
+    # may hold None where that is its default.
     design_fields: ClassVar[tuple[tuple[str, Callable[[str, Any], None]], ...]] = ()
-    # Those of them that hold numbers told apart by an index, each with the word that targets have:
-    # ``{"values": "value"}`` gives ``value[0]``, ``value[1]`` ...
+    # The design fields whose numbers are distinguished by an index, each with the word of its
+    # targets: ``{"values": "value"}`` gives ``value[0]``, ``value[1]`` ...
     indexed_fields: ClassVar[Mapping[str, str]] = {}
-    # The words for vectors whose first word would be that of another.
+    # Words of targets for vector fields whose first word another field has already.
     vector_words: ClassVar[Mapping[str, str]] = {}
 
     def parameters(self) -> dict[str, float]:
-        """Return the numbers that can be design targets, by name; the order is fixed."""
+        """Return the numbers that can be design targets, by name, in a fixed order."""
         design_numbers: dict[str, float] = {}
         for name, _ in self.design_fields:
             design_numbers |= self.numbers_of(name)
         return design_numbers
 
     def with_parameters(self, changes: Mapping[str, float]) -> Self:
-        """Return the same object with some of its `parameters` changed together.
+        """Return the same object with some of the numbers of `parameters` changed together.
 
         Raises UnknownNameError.
         """
         return replace(self, **self.changed_fields(changes))  # type: ignore[type-var]
 
     def changed_fields(self, changes: Mapping[str, float]) -> dict[str, Any]:
-        """Return the design fields that change with some of the `parameters`.
+        """Return the new values of the fields that the changed `parameters` belong to, by name.
 
         Raises UnknownNameError.
         """
@@ -76,15 +76,19 @@ class Designable:
         return new
 
     def split(self, p: Array) -> list[Any]:
-        """Return the values of the design fields out of those of `parameters`, real or complex.
+        """Return the value of each design field out of `p`, real or complex.
 
-        For every field a number, an array, or None where it holds None.
+        `p` holds the values of `parameters`. A field gives a number, an array, or None if it holds
+        None.
         """
         return [None if at is None else p[at] for at in self.design_places[0]]
 
     @cached_property
     def design_places(self) -> tuple[list[int | slice | None], int]:
-        """Return the places of the design fields among all `parameters`, and their count."""
+        """Index or slice of each design field in the values of `parameters`, and their number.
+
+        The index is None for a field that holds None.
+        """
         places, stop = list[int | slice | None](), 0
         for name, value in self._design_values():
             first, stop = stop, stop + len(self.numbers_of(name))
@@ -95,7 +99,7 @@ class Designable:
         return places, stop
 
     def breakpoints(self, p: Array) -> tuple[float, ...]:
-        """Return the instants between which it is an analytic function of time; s.
+        """Return the times between which the object is an analytic function of time; s.
 
         Parameters
         ----------
@@ -107,21 +111,21 @@ class Designable:
         return tuple(t for x, its in inner for t in x.breakpoints(its))
 
     def over_time(self, p: Array, t: Array, unmarked: bool = False) -> list[Array]:
-        """Return the values of its laws of time at t, shape (k,): one array (k,) for each law.
+        """Return the values of the object's laws of time at t, shape (k,): one array per law.
 
         Parameters
         ----------
         p : array, shape (n_p,)
             Values of all `parameters`, each in its own unit.
         unmarked : bool, optional
-            Leave out laws whose `breakpoints` mark all that is fast in them (`Law.marked`).
+            Leave out laws whose `breakpoints` mark all their fast changes (`Law.marked`).
         """
         values = zip(self._design_values(), self.split(p), strict=True)
         inner = ((x, its) for (_, x), its in values if isinstance(x, Designable))
         return [row for x, its in inner for row in x.over_time(its, t, unmarked)]
 
     def check_fields(self, where: str) -> None:
-        """Refuse values of design fields that break their rules."""
+        """Check the value of each design field by its rule; InvalidInputError if one breaks it."""
         for name, rule in self.design_fields:
             value = getattr(self, name)
             if value is None:
@@ -131,7 +135,7 @@ class Designable:
             rule(f"{where}, {name}", value)
 
     def numbers_of(self, name: str) -> dict[str, float]:
-        """Return the numbers of one design field by target name."""
+        """Return the numbers of the design field `name`, by target name."""
         value = getattr(self, name)
         if type(value) is float:
             return {name: value}
@@ -152,7 +156,7 @@ class Designable:
 
 
 def require_numbers(where: str, value: object) -> None:
-    """Raise InvalidInputError for anything but one finite number or more in a sequence."""
+    """Raise InvalidInputError unless `value` is a non-empty sequence of finite numbers."""
     rule, repair = "must be a sequence of numbers", "Give one number or more in a list."
     given = require_sequence(where, value, rule, repair)
     if isinstance(value, str) or not given:
@@ -162,14 +166,14 @@ def require_numbers(where: str, value: object) -> None:
 
 
 def design_numbers(*names: str) -> tuple[tuple[str, Callable[[str, Any], None]], ...]:
-    """Return design fields that hold any finite number."""
+    """Return a design field for each of these field names, with any finite number as its value."""
     return tuple((name, require_finite) for name in names)
 
 
 @final
 @dataclass(frozen=True)
 class Target:
-    """One place of a scene that a design variable writes to."""
+    """One number of a scene that a design variable sets: owner, parameter and element or index."""
 
     owner: str  # name of the beam, joint or load
     parameter: str  # name of its parameter, such as ``height``
@@ -179,7 +183,7 @@ class Target:
 
     @property
     def indexed(self) -> str:
-        """The parameter with its index, as among the `parameters` of a joint or load."""
+        """Parameter name with its index, such as ``value[2]``, as in `Designable.parameters`."""
         return self.parameter if self.element is None else f"{self.parameter}[{self.element}]"
 
     def __str__(self) -> str:
@@ -189,18 +193,19 @@ class Target:
 @final
 @dataclass(frozen=True)
 class DesignVariable:
-    """A design variable that drives one or several targets.
+    """A design variable that sets one or several targets of a scene.
 
     Parameters
     ----------
     name : str
     targets : sequence of str, or mapping
         Each ``"beam.parameter"`` or ``"beam.parameter[element]"``. All targets of a sequence hold
-        the value of the variable. A mapping gives each a factor: the first target is its factor
-        times the variable, and the others move by theirs times its change; so a length that moves
-        two joints reads ``{"rod.length": 1, "left.ground_x": -0.5, "right.ground_x": 0.5}``.
+        the value of the variable. A mapping gives each target a factor: the first target is its
+        factor times the variable, and every further one moves by its factor times the change of the
+        variable. So a length that moves two joints reads
+        ``{"rod.length": 1, "left.ground_x": -0.5, "right.ground_x": 0.5}``.
     bounds : (float, float), optional
-        Admissible range for optimisation.
+        Admissible range for optimisation, in the unit of the first target.
 
     Raises
     ------
@@ -236,21 +241,21 @@ class DesignVariable:
                 )
 
     def __hash__(self) -> int:
-        """Return a hash, so that variables can be keys of values."""
+        """Return a hash of name and targets, so that design variables can be keys of a mapping."""
         return hash((self.name, tuple(self.targets)))
 
     @property
     def shares(self) -> bool:
-        """Whether targets move by factors, instead of all holding the value."""
+        """Whether `targets` gives factors (a mapping); otherwise all targets hold the value."""
         return isinstance(self.targets, Mapping)
 
     def factor(self, target: str) -> float:
-        """Return by how much a target moves with the variable."""
+        """Return the derivative of the value of `target` with respect to this design variable."""
         return self.targets[target] if isinstance(self.targets, Mapping) else 1.0
 
 
 def parse_target(text: str) -> Target:
-    """Read ``"beam.parameter"`` or ``"beam.parameter[element]"``.
+    """Return the `Target` of ``"beam.parameter"`` or ``"beam.parameter[element]"``.
 
     InvalidInputError if the text has another form.
     """
@@ -267,7 +272,7 @@ def parse_target(text: str) -> Target:
 
 
 def as_design(design: Sequence[str | DesignVariable]) -> tuple[DesignVariable, ...]:
-    """Turn plain target names into design variables and refuse duplicate names.
+    """Return design variables, one for each plain target name or `DesignVariable`.
 
     InvalidInputError if two variables share a name or a target.
     """
@@ -285,8 +290,10 @@ def as_design(design: Sequence[str | DesignVariable]) -> tuple[DesignVariable, .
     return variables
 
 
-def distributed_variables(target: str, count: int) -> tuple[DesignVariable, ...]:
-    """One design variable per element of a beam, or per control value of a law.
+def distributed_variables(
+    target: str, count: int, bounds: tuple[float, float] | None = None
+) -> tuple[DesignVariable, ...]:
+    """Return one design variable per element of a beam, or per control value of a law.
 
     For example a height distribution, or the torque of a motor over time.
 
@@ -296,9 +303,11 @@ def distributed_variables(target: str, count: int) -> tuple[DesignVariable, ...]
         ``"beam.parameter"`` or ``"motor.value"``.
     count : int
         Number of elements of the beam, or of control values.
+    bounds : (float, float), optional
+        Admissible range of each variable for optimisation, as of `DesignVariable`.
     """
     parse_target(target)
     where, repair = "distributed_variables, count", "Give the number of elements or control values."
     require_count(where, count, repair)
     names = [f"{target}[{k}]" for k in range(count)]
-    return tuple(DesignVariable(name, (name,)) for name in names)
+    return tuple(DesignVariable(name, (name,), bounds) for name in names)

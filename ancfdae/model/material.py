@@ -7,9 +7,9 @@ from typing import final
 from ancfdae.errors.checks import require_finite, require_positive
 from ancfdae.errors.kinds import InvalidInputError, UnlikelyValueWarning
 
-# A density above _DENSE and _HEAVY times the modulus is taken for a modulus, unless the modulus is
-# above _LIGHT: with the numbers of steel exchanged it is 3e7 times; soft rubber, declared in kg and
-# km, has 1,000 times. No solid has a density above 2.3e4, in kg/m^3.
+# A density above _DENSE that exceeds _HEAVY times the modulus is taken for a modulus, unless the
+# modulus is above _LIGHT. If the numbers of steel are exchanged, the ratio is 3e7; soft rubber in
+# kg and km has 1,000. No solid has a density above 2.3e4 kg/m^3.
 _DENSE, _HEAVY, _LIGHT = 1e5, 2e3, 3e4
 
 

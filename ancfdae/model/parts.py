@@ -1,4 +1,4 @@
-"""Base class of joints and loads: name, points of bodies, design targets, how they are drawn."""
+"""Base class of joints and loads: name, points of bodies, design targets, symbols in pictures."""
 
 import abc
 import re
@@ -22,9 +22,9 @@ from ancfdae.numerics.rotations import rotation
 @final
 @dataclass(frozen=True)
 class Sign:
-    """The sign of a joint, at its first point."""
+    """Symbol of a joint in pictures, drawn at its first point."""
 
-    word: str  # what the legend calls it
+    word: str  # name in the legend
     marker: str  # a marker of matplotlib, or a symbol of its mathematics between dollar signs
     filled: bool = False
     size: float = 7.0  # points of print
@@ -32,7 +32,7 @@ class Sign:
 
 @final
 class Stroke(Enum):
-    """A line that a part is drawn as, between its points or from its point to `ground`."""
+    """Kind of line drawn for a joint or load, between its points or from point to `ground`."""
 
     LINK = "link"
     SPRING = "spring"
@@ -41,23 +41,26 @@ class Stroke(Enum):
 @final
 @dataclass(frozen=True)
 class Elements:
-    """The elements of a scene's beams, for its parts; `d` is the dimension of space."""
+    """Elements of the beams of a scene, on which the vectors of joints and loads depend.
+
+    `d` is the dimension of space and `of_beam` gives the element of each beam.
+    """
 
     d: int
     of_beam: Mapping[str, BeamElement]
-    #: Number of elements of each beam, and where points stand in the reference as declared.
+    #: Number of elements of each beam, and the reference position of a point as declared, (d,); m.
     counts: Mapping[str, int] = field(default_factory=dict)
     place_of: Callable[[MaterialPoint], Array] = lambda point: np.zeros(0)
 
     def at(self, point: MaterialPoint) -> BeamElement:
-        """Return the element at a point; of a rigid body the one whose nodes are like it."""
+        """Return the element at a point; for a rigid body the default beam of the dimension."""
         return self.of_beam.get(point.beam) or default_element(self.d)
 
 
 @final
 @dataclass(frozen=True)
 class CentreLine:
-    """The integral of the position along the centre line of a beam, as a vector for loads."""
+    """Vector of a load: the integral of the position along the centre line of a beam."""
 
     beam: str
 
@@ -65,7 +68,7 @@ class CentreLine:
 @final
 @dataclass(frozen=True)
 class LineVector:
-    """A vector on the centre line, at xi of an element of a beam, counted from 0 on."""
+    """Vector of a load: a node vector quantity at xi of an element (from 0) of a beam."""
 
     beam: str
     element: int
@@ -76,22 +79,22 @@ class LineVector:
 @final
 @dataclass(frozen=True)
 class Normal:
-    """The tangent at a point, turned by a right angle from x to y.
+    """Vector of a joint: the tangent at a point, rotated by a right angle from x to y.
 
-    It stands for the slope across a planar element that has no section.
+    It replaces the section slope in planar elements without a section.
     """
 
     point: MaterialPoint
 
 
-# Names by default hold numbers: pin(rod@0.5).
+# What a name must not contain. Default names hold numbers with a dot: pin(rod@0.5).
 _NO_NAME = re.compile(r"\.(?!\d)|\[")
 
 
 @final
 @dataclass(frozen=True)
 class FrameDirection:
-    """A direction of the axes of something rigid, for what keeps it rigid; counted from 1 on."""
+    """Vector of rigid bodies: position (number 0) or axis direction (from 1) of a rigid body."""
 
     body: str
     number: int
@@ -100,17 +103,17 @@ class FrameDirection:
 @final
 @dataclass(frozen=True)
 class StateVector:
-    """A state of a controller, or a coordinate of a joint's own; counted from 0.
+    """Vector of a controller state, or of a coordinate that a joint adds; counted from 0.
 
     A coordinate of a joint is component 0 of the vector. A state of a controller is component 0 of
-    the rate of the vector, which is its integral over time.
+    the rate of the vector; the vector is its integral over time.
     """
 
     owner: str
     number: int
 
 
-#: Vectors of material points (which point, and position or which slope), or of whole beams.
+#: Vectors that joints and loads depend on: a point with a quantity, or one of the classes above.
 Vectors: TypeAlias = tuple[
     tuple[MaterialPoint, Quantity]
     | Normal
@@ -126,9 +129,9 @@ Vectors: TypeAlias = tuple[
 class Part(Designable, abc.ABC):
     """A named joint or load.
 
-    A part is a frozen dataclass. Its fields of these names mean the same in every part: `point`,
-    the point that it acts on, or `beam`, the name of a beam that it acts on as a whole; `other`,
-    a point, or `ground`, a place, that it joins `point` to.
+    A part is a frozen dataclass. Fields of these names mean the same in every part. `point` is the
+    point that the part acts on, `beam` the name of a beam that it acts on as a whole. `other`, a
+    point, or `ground`, a position, is the second end.
 
     Parameters
     ----------
@@ -136,7 +139,7 @@ class Part(Designable, abc.ABC):
         Unique in a scene; by default ``kind(beam@fraction)``.
     """
 
-    #: "joint" or "load", and the word for this one.
+    #: "joint", "load" or "body", and the word for this class in default names, such as "pin".
     role: ClassVar[str]
     kind: ClassVar[str]
     #: Whether one of `other` and `ground` must be given, and whether it exists in space only.
@@ -144,18 +147,18 @@ class Part(Designable, abc.ABC):
     spatial: ClassVar[bool] = False
     #: The line that pictures draw from its first point to its second, or to its `ground`.
     stroke: ClassVar[Stroke | None] = None
-    #: Names of states of a load (`Controller`), or coordinates of a joint's own, each with a vector
-    #: that is integrated with the mechanism; these vectors come last.
+    #: Names of states of a load (`Controller`), or of coordinates that a joint adds, each with a
+    #: vector that is integrated with the mechanism; these vectors come last.
     states: ClassVar[tuple[str, ...]] = ()
     #: Whether it has a guide or pulleys, which a motion may leave; `off_route` then finds where.
     routed: ClassVar[bool] = False
-    #: What it says to a second point in the place of its ground.
+    #: Remedy in the error message if `ground` is a point.
     no_second_point: ClassVar[str] = "Give a point as `other`, if there is one."
 
     name: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
-        """Give the part a name if it has none, and check its fields."""
+        """Set the default name if the part has none, and check its fields."""
         self._check_declared()
         name, where = self.name, f"{self.role} {self.kind!r}, name"
         require_kind(where, name, (str,), "Give a name.")
@@ -192,9 +195,9 @@ class Part(Designable, abc.ABC):
         return None
 
     def point_numbers(self) -> dict[str, float]:
-        """Return the places of the points on their beams, which can be design targets, too.
+        """Return the coordinates of the points on their bodies, which can be design targets.
 
-        By name ``point_fraction``, ``point_y``, ``point_z``, and likewise of `other`.
+        Their names are ``point_fraction``, ``point_y``, ``point_z``, and likewise for `other`.
         """
         return {
             f"{name}_{coordinate}": number
@@ -214,55 +217,57 @@ class Part(Designable, abc.ABC):
         return super(Part, part).with_parameters(rest)
 
     def with_points(self, points: Mapping[str, MaterialPoint]) -> Self:
-        """Return the same part with other points in its `point_fields`."""
+        """Return the same part with other points in its `point_fields`, given by name."""
         return replace(self, **points)  # type: ignore[arg-type]
 
     def point_fields(self) -> dict[str, MaterialPoint]:
-        """Return the fields that hold a point."""
+        """Return the fields that hold a material point, by name."""
         given = ((name, getattr(self, name)) for name in _field_names(type(self)))
         return {name: x for name, x in given if isinstance(x, MaterialPoint)}
 
     @cached_property
     def points(self) -> tuple[MaterialPoint, ...]:
-        """The points that the part touches, the one that it acts on first."""
+        """Points that the part acts on, `point` first."""
         return tuple(self.point_fields().values())
 
     @property
     def stands_at(self) -> MaterialPoint | None:
-        """The point whose place in the reference is the ground, as none was written."""
+        """The point at whose reference position the part is fixed to ground by default.
+
+        None if `ground` or `other` is declared, or the part needs neither.
+        """
         given = self._given()
         joined = "ground" not in given or given["ground"] is not None or given.get("other")
         return None if joined else given["point"]
 
     def ground_place(self) -> Sequence[float] | None:
-        """Return the place on ground that it goes to, if one is written."""
+        """Return the declared position on the ground, shape (d,), m; None if undeclared."""
         return self._given().get("ground")
 
     def on_ground(self, place: Sequence[float]) -> Self:
-        """Return the same part with its ground written."""
+        """Return the same part with `ground` set to the position `place`, shape (d,); m."""
         return replace(self, ground=tuple(place))  # type: ignore[call-arg]
 
     @property
     def whole_beams(self) -> tuple[str, ...]:
-        """Names of the beams that the part acts on as wholes."""
+        """Names of the beams that the part acts on along their whole length."""
         beam = self._given().get("beam")
         return () if beam is None else (beam,)
 
     @property
     def whole_bodies(self) -> tuple[str, ...]:
-        """Names of the rigid bodies that the part acts on, at points of its own."""
+        """Names of the rigid bodies that the part acts on without naming points of them."""
         return ()
 
     @abc.abstractmethod
     def vectors(self, elements: Elements) -> Vectors:
-        """Return the vectors that the part depends on or works on, of beams of these elements."""
+        """Return the vectors that the equations or forces of the part depend on."""
 
     def check_space(self, elements: Elements) -> None:
-        """Refuse a part that does not fit the space of the scene.
+        """Raise InvalidInputError if the part does not fit the dimension of the scene.
 
-        InvalidInputError if it is spatial and the scene planar, an element lacks a vector that it
-        needs, a vector of its own has another number of components, or an axis that may be left out
-        is given in the plane.
+        It does not if it is spatial and the scene planar, an element lacks a vector that it needs,
+        a vector field has another number of components, or an optional axis is given in the plane.
         """
         where, d = f"{self.role} {self.name!r}", elements.d
         if self.spatial and d != 3:
@@ -292,7 +297,7 @@ class Part(Designable, abc.ABC):
                 require_vector(f"{where}, {name}", value, (d,))
 
     def _check_declared(self) -> None:
-        """Refuse a class that lacks fields of its design."""
+        """Raise InvalidInputError if the class lacks a field named in `design_fields`."""
         for name, _ in self.design_fields:
             if name not in _field_names(type(self)):
                 where = f"{self.role} of class {type(self).__name__}"
@@ -353,20 +358,20 @@ class Part(Designable, abc.ABC):
 
 @cache
 def _field_names(kind: type) -> tuple[str, ...]:
-    """Return the names of the fields of a class."""
+    """Return the names of the fields of a dataclass."""
     return tuple(each.name for each in fields(kind))
 
 
-#: Returns the beam or rigid body of a name.
+#: Function that returns the beam or rigid body of a name.
 _Member: TypeAlias = Callable[[str], BeamBody | RigidBody]
 _Any = TypeVar("_Any", bound=Part)
 
-#: Targets of the place on the ground.
+#: Design targets of the position on the ground.
 TARGETS = ("ground_x", "ground_y", "ground_z")
 
 
 def reference_place(point: MaterialPoint, member: _Member) -> Array:
-    """Return where a point stands in the reference configuration as declared, shape (d,)."""
+    """Return the position of a point in the declared reference configuration, shape (d,); m."""
     arms, at = list[Array](), point
     while True:
         body = member(at.beam)
@@ -375,11 +380,11 @@ def reference_place(point: MaterialPoint, member: _Member) -> Array:
         if body.attached is None:
             break
         at = body.attached
-    # From the place on: sums in the order in which the bodies are attached.
+    # Summed from the first body on, in the order in which the bodies are attached.
     return sum(reversed(arms), start=np.asarray(body.place))
 
 
 def on_ground(part: _Any, member: _Member) -> _Any:
-    """Return a part whose place on the ground is given: by default where its point stands."""
+    """Return the part with `ground` declared: by default the reference position of its point."""
     point = part.stands_at
     return part if point is None else part.on_ground(reference_place(point, member).tolist())

@@ -12,16 +12,16 @@ from ancfdae.model.parts import Elements, Part, Vectors
 @final
 @dataclass(frozen=True)
 class PointMass(Part):
-    """A mass without size at a point of a beam or a rigid body, which it has no coordinates of.
+    """A point mass on a beam or a rigid body; it has no coordinates of its own.
 
-    With r = L q its position, it adds m L^T L to the mass matrix; gravity pulls it. Design target:
-    ``mass``.
+    With r = L q its position, it adds m L^T L to the mass matrix; gravity acts on it. Design
+    target: ``mass``.
 
     Parameters
     ----------
     point : MaterialPoint
     mass : float
-        kg.
+        Mass m, positive; kg.
     """
 
     point: MaterialPoint

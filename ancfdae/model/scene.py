@@ -1,4 +1,4 @@
-"""Scene: a frozen declaration of exactly what is to be modelled."""
+"""The class `Scene`: an immutable declaration of a mechanism."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from ancfdae.model.turning_frame import RotatingFrame, require_frame
 @final
 @dataclass(frozen=True)
 class Scene(SceneDesign):
-    """Beams, rigid bodies, joints, loads and gravity, and how they start.
+    """A mechanism: beams, rigid bodies, joints, loads, gravity and initial conditions.
 
     Only what is declared is prepared and integrated: a planar scene has no spatial
     coordinate, a scene without damping no velocity Jacobian.
@@ -45,30 +45,29 @@ class Scene(SceneDesign):
     Parameters
     ----------
     beams : sequence of BeamBody
-        With the rigid bodies all planar or all spatial.
+        Beams and cables; with the rigid bodies all planar or all spatial.
     joints : sequence of Joint
     loads : sequence of Load
     gravity : sequence of float, optional
         Acceleration of gravity; m/s^2.
     start : sequence of InitialVelocity, NodalState or EquilibriumStart
-        Initial motion; what is not named starts at rest in the reference configuration. With
-        `EquilibriumStart` everything starts from an equilibrium.
+        Initial motion; beams and bodies not named start at rest in the reference configuration.
+        With `EquilibriumStart` the mechanism starts from a static equilibrium.
     assemble : bool
         Whether bodies that do not meet their joints as declared are moved onto them by rigid
-        motions, with the least rotations, instead of being refused; velocities likewise. Where the
-        design is not that of the declaration they always are.
+        motions, with the smallest rotations, instead of raising an error; velocities likewise. At
+        other designs than the declared one they always are.
     lead : sequence of str
-        Beams that keep their orientation when bodies are assembled: others turn.
+        Beams that keep their orientation when bodies are assembled, so that other bodies rotate.
     project_start : bool
-        Whether what rigid motions cannot close is moved onto the joints (the nearest state in the
-        norm of the mass matrix, which strains the bodies) instead of being refused; includes
-        `assemble`.
+        Whether joints that rigid motions cannot close are closed by deforming bodies (the nearest
+        state in the norm of the mass matrix) instead of raising an error; includes `assemble`.
     bodies : sequence of RigidBody or PointMass
     frame : RotatingFrame, optional
-        The frame that all of this is declared in where it turns steadily; else it is at rest.
+        Steadily rotating frame in which the whole scene is declared; by default an inertial frame.
     left_out : sequence of (str, int)
-        Equations that are not imposed: the name of a joint and the number of its equation, counted
-        from 0. `drop_redundant` finds those that others imply.
+        Joint equations that are not imposed: the name of a joint and the number of its equation,
+        counted from 0. `drop_redundant` finds equations that other ones imply.
 
     Raises
     ------
@@ -93,7 +92,7 @@ class Scene(SceneDesign):
     design_fields = (("gravity", require_vector), ("frame", require_frame))
 
     def __post_init__(self) -> None:
-        """Store the sequences as tuples and check all parts and names."""
+        """Store the sequences as tuples and check all bodies, joints, loads and names."""
         self._freeze("beams", (BeamBody,), "Add a Beam.")
         self._freeze("bodies", (RigidBody, PointMass), "Add a RigidBody.")
         self._freeze("joints", (Joint,), "Add a Pin.")
@@ -132,18 +131,18 @@ class Scene(SceneDesign):
         )
 
     def _left_out(self) -> list[str]:
-        """Return the equations left out, joint by joint: ``hinge (3, 4)``."""
+        """Return the joint equations left out as text, one per joint: ``hinge (3, 4)``."""
         rows: dict[str, list[str]] = {}
         for name, row in self.left_out:
             rows.setdefault(name, []).append(str(row))
         return [f"{name} ({', '.join(numbers)})" for name, numbers in rows.items()]
 
     def at_rest(self) -> Scene | None:
-        """Return the scene whose equilibrium is the start of the motion; None if none is."""
+        """Return the scene whose equilibrium is the start of the motion; None without one."""
         rest = self.rest
         if rest is None:
             return None
-        # Of the same coordinates, whatever it carries.
+        # With the same kinks, so that it has the same coordinates under other loads.
         beams = [beam.with_kinks(self.kinks.get(beam.name, ())) for beam in self.beams]
         return replace(
             self,
@@ -154,14 +153,14 @@ class Scene(SceneDesign):
         )
 
     def _freeze(self, name: str, kinds: tuple[type, ...], repair: str) -> None:
-        """Store a field as a tuple; refuse parts of none of the given classes."""
+        """Store a field as a tuple; InvalidInputError for an entry of none of these classes."""
         parts = require_sequence(f"Scene.{name}", getattr(self, name))
         for part in parts:
             require_kind(f"Scene.{name}", part, kinds, repair)
         object.__setattr__(self, name, parts)
 
     def _check_names(self) -> None:
-        """Raise InvalidInputError if two parts have one name, or a beam has two starts."""
+        """Raise InvalidInputError if two parts share a name, or a body has two starts."""
         rule, repair = "every part needs a name of its own", "Rename one of the two parts."
         require_unique("Scene.beams", rule, [beam.name for beam in self.beams], repair)
         require_unique("Scene.bodies", rule, [body.name for body in self.bodies], repair)
@@ -200,7 +199,7 @@ class Scene(SceneDesign):
                 self._check_point(where, point)
 
     def _check_left_out(self) -> None:
-        """Store the equations left out as pairs; refuse joints by formulas and unknown names."""
+        """Store `left_out` as pairs; InvalidInputError for unknown joints and formula joints."""
         pairs = require_sequence("Scene.left_out", self.left_out)
         repair = "For example left_out=[('hinge', 3)], as drop_redundant(scene) finds them."
         for pair in pairs:
@@ -214,7 +213,7 @@ class Scene(SceneDesign):
         object.__setattr__(self, "left_out", tuple((name, int(row)) for name, row in pairs))
 
     def _check_point(self, where: str, point: MaterialPoint) -> None:
-        """Refuse a point outside the sections of the element, or the two elements, it lies in.
+        """Raise InvalidInputError for a point outside the sections of the elements it lies in.
 
         Points of rigid bodies may lie anywhere.
         """
@@ -242,7 +241,7 @@ class Scene(SceneDesign):
         return checked_start(start, body, self.dimension, self.kinks.get(body.name, ()))
 
     def _check_rest(self) -> None:
-        """Refuse a start at rest that moves."""
+        """Raise InvalidInputError if an `EquilibriumStart` is given with initial velocities."""
         rests = [start for start in self.start if isinstance(start, EquilibriumStart)]
         if not rests:
             return
@@ -263,13 +262,13 @@ class Scene(SceneDesign):
 
     @staticmethod
     def _check_states(where: str, loads: Sequence[Load], repair: str) -> None:
-        """Raise InvalidInputError if a load has states."""
+        """Raise InvalidInputError if one of the loads has states."""
         names = [load.name for load in loads if load.states]
         if names:
             raise InvalidInputError(where, "must have no load with states", listed(names), repair)
 
     def _check_assembly(self) -> None:
-        """Refuse names that are no bodies, and beams that start at one another in a circle."""
+        """Check the names in `lead`, and that no bodies are attached to one another in a circle."""
         object.__setattr__(self, "lead", require_sequence("Scene.lead", self.lead))
         for name in self.lead:
             self.member(name)

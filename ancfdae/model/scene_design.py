@@ -1,4 +1,4 @@
-"""Design targets of a scene, their values, and scenes at other values."""
+"""Design targets of a scene, their values, and copies of a scene at other values."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from ancfdae.model.point_mass import PointMass
 from ancfdae.model.starts import EquilibriumStart, InitialVelocity, NodalState, Start
 from ancfdae.numerics.arrays import Array
 
-# Two targets hold the same value up to this relative difference: a length is summed from its n
-# elements, which moves it by n eps; this admits 4500 elements.
+# Relative difference up to which two targets hold the same value: a length is summed from its n
+# elements, with a round-off of n eps; this admits 4500 elements.
 _SAME = 1e-12
 #: Owner of the design targets of the scene itself, as in "scene.gravity_y".
 SCENE = "scene"
 
 
 class SceneDesign(Designable):
-    """The parts of a scene by name, and what design variables drive in them."""
+    """Base class of `Scene`: its parts by name, and the design targets in them."""
 
     beams: Sequence[BeamBody]
     bodies: Sequence[RigidBody | PointMass]
@@ -45,14 +45,14 @@ class SceneDesign(Designable):
 
     @cached_property
     def elements(self) -> Elements:
-        """Types of element of all beams, by the name of the beam."""
+        """Elements of all beams, by name of the beam, for the vectors of joints and loads."""
         kinds = {beam.name: beam.element for beam in self.beams}
         counts = {beam.name: beam.element_count for beam in self.beams}
         return Elements(self.dimension, kinds, counts, self.place_of)
 
     @cached_property
     def members(self) -> tuple[BeamBody | RigidBody, ...]:
-        """All that has coordinates, in their order: beams, then rigid bodies."""
+        """All bodies with coordinates, in the order of these: beams, then rigid bodies."""
         rigid = (body for body in self.bodies if isinstance(body, RigidBody))
         return (*self.beams, *rigid)
 
@@ -86,9 +86,9 @@ class SceneDesign(Designable):
 
     @cached_property
     def by_attachment(self) -> tuple[BeamBody | RigidBody, ...]:
-        """All that has coordinates, each body after the one that it starts at.
+        """All beams and rigid bodies, each after the body that it is attached to.
 
-        Bodies that start at one another in a circle are left out.
+        Bodies that are attached to one another in a circle are left out.
         """
         carried: dict[str, list[BeamBody | RigidBody]] = {}
         ordered = list[BeamBody | RigidBody]()
@@ -97,15 +97,16 @@ class SceneDesign(Designable):
                 ordered.append(body)
             else:
                 carried.setdefault(body.attached.beam, []).append(body)
-        for body in ordered:  # It grows on the way.
+        for body in ordered:  # The list grows during the loop.
             ordered.extend(carried.get(body.name, ()))
         return tuple(ordered)
 
     @cached_property
     def kinks(self) -> dict[str, tuple[int, ...]]:
-        """Inner nodes of each beam that deforms with a slope along the beam on either side.
+        """Inner nodes of each flexible beam whose slope along the beam may jump.
 
-        Those declared, and those that a part acts on: forces of sections jump there.
+        They are the declared nodes and the nodes that a joint, load or mass acts on, where section
+        forces jump.
         """
         fractions: dict[str, set[float]] = {beam.name: set(beam.kinks) for beam in self.beams}
         for part in self.parts().values():
@@ -116,7 +117,7 @@ class SceneDesign(Designable):
         return {beam.name: tuple(sorted(beam.inner_nodes(fractions[beam.name]))) for beam in soft}
 
     def parts(self) -> dict[str, Part | RigidBody]:
-        """Return bodies, joints and loads, of the start too; their numbers can be targets."""
+        """Return bodies, joints and loads (those of the start included) by name."""
         return self._parts
 
     @cached_property
@@ -126,19 +127,20 @@ class SceneDesign(Designable):
 
     @cached_property
     def start_of(self) -> dict[str, InitialVelocity | NodalState]:
-        """Starts, by name, of bodies that do not start from rest in the reference configuration."""
+        """Declared starts by name of the body; other bodies start at rest in the reference."""
         return {start.body: start for start in self.body_starts}
 
     def owners(self) -> tuple[str, ...]:
-        """Return the names of everything that has `numbers`."""
+        """Return the names of all owners of design numbers: beams, bodies, joints, loads, scene."""
         return (*(beam.name for beam in self.beams), *self.parts(), SCENE)
 
     def numbers(self, owner: str) -> dict[str, float]:
-        """Return the numbers that can be design targets, by parameter, without numbers of elements.
+        """Return the numbers of an owner that can be design targets, by parameter name.
 
-        Of a beam its placement and its initial velocity, of a rigid body its parameters and the
-        same, of joints, loads and point masses their parameters and the places of their points,
-        then the ground where it was left out; of the owner ``"scene"`` gravity.
+        For a beam they are its placement and initial velocity, without parameters of elements; for
+        a rigid body also its parameters. For joints, loads and point masses they are their
+        parameters and the coordinates of their points, then the default position on the ground; for
+        the owner ``"scene"`` gravity.
 
         Raises UnknownNameError.
         """
@@ -157,7 +159,7 @@ class SceneDesign(Designable):
         return numbers | self.member(owner).placement() | motion
 
     def resolve(self, text: str) -> Target:
-        """Read a target and refuse one that the scene does not have."""
+        """Return the `Target` of a text; UnknownNameError if the scene does not have it."""
         target = parse_target(text)
         if self.is_of_elements(target):
             self.beam(target.owner).check_target(target.parameter, target.element)
@@ -174,14 +176,15 @@ class SceneDesign(Designable):
         return target
 
     def place_of(self, point: MaterialPoint) -> Array:
-        """Return where a point stands in the reference configuration as declared, shape (d,)."""
+        """Return the position of a point in the declared reference configuration, (d,); m."""
         return reference_place(point, self.member)
 
     def with_grounds(self, targets: Iterable[str]) -> Self:
-        """Return the same scene with every ground written that is a target but was left out.
+        """Return the same scene with `ground` declared in parts whose ground is a target.
 
-        It is the place of the point in the reference configuration as declared; so the scene is the
-        same until the target moves. From then on all components of the ground stay.
+        A `ground` that was left out becomes the position of the point in the declared reference
+        configuration; so the scene is the same until the target changes. A declared ground
+        is fixed in all components.
         """
         resolved = [self.resolve(text) for text in targets]
         owners = {target.owner for target in resolved if target.parameter in TARGETS}
@@ -194,12 +197,12 @@ class SceneDesign(Designable):
         return replace(self, joints=written(self.joints), loads=written(self.loads))  # type: ignore[type-var]
 
     def is_of_elements(self, target: Target) -> bool:
-        """Whether a target names a parameter of elements of a beam."""
+        """Whether a target is a parameter of the elements of a beam."""
         beams = (beam for beam in self.beams if beam.name == target.owner)
         return any(target.parameter in beam.parameter_names() for beam in beams)
 
     def first_elements(self) -> dict[str, int]:
-        """Return the scene-wide number of the first element of each beam."""
+        """Return the index, among all elements of the scene, of the first element of each beam."""
         counts = np.cumsum([0] + [beam.element_count for beam in self.beams])
         return {beam.name: int(k) for beam, k in zip(self.beams, counts, strict=False)}
 
@@ -214,21 +217,21 @@ class SceneDesign(Designable):
         values : mapping
             ``{"beam.parameter": value}`` or ``{"beam.parameter[element]": value}``; a
             `DesignVariable` as a key moves all its targets. A ``ground_x`` of a joint whose ground
-            was left out writes the ground: its other components stay where the point stands now.
+            was left out declares the ground: its other components are set to the present position.
 
         Returns
         -------
         Scene
-            With `assemble`, so that bodies follow.
+            The changed scene, with `assemble`, so that bodies are moved onto their joints.
         """
         require_kind("with_values", values, (Mapping,), "For example {'rod.height': 0.06}.")
         changes = [change for key, value in values.items() for change in self._changes(key, value)]
         return self.with_grounds(str(target) for _, target, _ in changes)._changed(changes)
 
     def refuse_values(self, values: Mapping[str | DesignVariable, float]) -> None:
-        """Raise what `with_values` raises, but make the parts alone that change.
+        """Raise the exceptions of `with_values`, making only the parts that change.
 
-        The scene is made anew only where its own checks could find what parts do not: where
+        The whole scene is made only if its own checks could find errors that the parts do not: if
         points, sections with points off the axis, or the scene itself change.
         """
         changes_of: dict[str, list[_Change]] = {}
@@ -247,7 +250,7 @@ class SceneDesign(Designable):
 
     @cached_property
     def _off_axis(self) -> set[str]:
-        """Names of the beams with points that must lie in their sections, off the axis."""
+        """Names of the beams with points off the axis, which must lie in their sections."""
         parts = (part for part in self.parts().values() if not isinstance(part, RigidBody))
         points = [point for part in parts for point in part.points]
         points += [body.attached for body in self.members if body.attached is not None]
@@ -255,11 +258,11 @@ class SceneDesign(Designable):
 
     @cached_property
     def _moved(self) -> dict[DesignVariable, list[tuple[Target, float, float]]]:
-        """Targets of the variables that were asked for, each with its factor and offset."""
+        """Cache of the targets of design variables, each with its factor and offset."""
         return {}
 
     def _changes(self, key: str | DesignVariable, value: float) -> list[_Change]:
-        """Return (what errors name, target, value) of everything that a value changes."""
+        """Return (name in errors, target, value) for each target that a variable's value sets."""
         if isinstance(key, DesignVariable):
             where = f"design variable {key.name!r}"
             require_finite(where, value)
@@ -274,7 +277,7 @@ class SceneDesign(Designable):
         return [(key, target, value)]
 
     def _changed(self, changes: Iterable[_Change]) -> Self:
-        """Return the scene with targets changed, all targets of a part at once."""
+        """Return the scene with targets changed, all targets of one part together."""
         changes_of: dict[str, list[_Change]] = {}
         for change in changes:
             changes_of.setdefault(change[1].owner, []).append(change)
@@ -308,7 +311,7 @@ class SceneDesign(Designable):
     def value(self, variable: DesignVariable) -> float:
         """Return the current value of a design variable.
 
-        InvalidInputError if its targets hold different values, so that it has no single one.
+        InvalidInputError if its targets hold different values, so that it has no single value.
         """
         require_kind("value, variable", variable, (DesignVariable,), "Give a DesignVariable.")
         if variable.shares:
@@ -325,7 +328,7 @@ class SceneDesign(Designable):
         return values[0]
 
     def offset(self, variable: DesignVariable, text: str) -> float:
-        """Return the constant part of a target: its value less its factor times the variable."""
+        """Return the constant part of a target: its value minus its factor times the variable."""
         if not variable.shares or text == next(iter(variable.targets)):
             return 0.0
         held, share = self._single(text), variable.factor(text) * self.value(variable)
@@ -340,7 +343,7 @@ class SceneDesign(Designable):
         return held[0]
 
     def _held(self, text: str) -> list[float]:
-        """Return the present values of a target, one per element if elements differ."""
+        """Return the current values of a target, one per element if elements differ."""
         target = self.resolve(text)
         if not self.is_of_elements(target):
             return [float(self.numbers(target.owner)[target.indexed])]
@@ -351,7 +354,7 @@ class SceneDesign(Designable):
         return self._element_parameters[rows, which].tolist()
 
     def target_elements(self, target: Target) -> Array:
-        """Return the scene-wide numbers of the elements that a target writes to.
+        """Return the indices, among all elements of the scene, of the elements of a target.
 
         Raises InvalidInputError, UnknownNameError.
         """
@@ -361,7 +364,7 @@ class SceneDesign(Designable):
         return elements if target.element is None else elements[[target.element]]
 
     def element_parameters(self) -> Array:
-        """Return the parameters of all elements, shape (n, 10), columns as `ElementParameter`."""
+        """Return the parameters of all elements, shape (n, 10); columns: `ElementParameter`."""
         return self._element_parameters.copy()
 
     @cached_property
@@ -373,12 +376,12 @@ class SceneDesign(Designable):
         return (*self.beams, *self.bodies, *self.joints, *self.loads, *self._rest_loads())
 
     def _rest_loads(self) -> tuple[Load, ...]:
-        """Return the loads of the start at rest that the motion does not have."""
+        """Return the loads of the `EquilibriumStart` that do not act during the motion."""
         loads = () if self.rest is None else self.rest.loads or ()
         return tuple(load for load in loads if not any(load is kept for kept in self.loads))
 
     def _check_point_target(self, part: Part, target: Target) -> None:
-        """Refuse to move a point that cannot move both ways, or past a node that slopes kink at."""
+        """Raise InvalidInputError for a point that cannot move both ways or is at a kink."""
         field, _, coordinate = target.parameter.rpartition("_")
         point = part.point_fields().get(field)
         if point is None:
@@ -410,14 +413,14 @@ class SceneDesign(Designable):
             )
 
 
-#: What errors name, target and value.
+#: Name in error messages, target and value of a change.
 _Change = tuple[str, Target, float]
-#: What design variables drive.
+#: Parts of a scene that design variables drive.
 _Part: TypeAlias = BeamBody | RigidBody | Part
 
 
 def _with_values(part: _Part, changes: list[_Change]) -> _Part:
-    """Return the part with numbers changed together; errors name what the user wrote."""
+    """Return the part with numbers changed together; errors name the target as written."""
     with _in_words_of(changes):
         if isinstance(part, BeamBody):
             return part.with_values(_of_beam(changes))
@@ -430,7 +433,7 @@ def _with_values(part: _Part, changes: list[_Change]) -> _Part:
 
 
 def _takes(part: _Part, changes: list[_Change]) -> bool:
-    """Raise what `_with_values` raises; return whether the points of the part stay."""
+    """Raise the exceptions of `_with_values`; return whether the points of the part stay."""
     if isinstance(part, BeamBody):
         with _in_words_of(changes):
             part.refuse_values(_of_beam(changes))
@@ -453,7 +456,7 @@ def _of_beam(changes: list[_Change]) -> list[tuple[str, int | None, float]]:
 
 @contextmanager
 def _in_words_of(changes: list[_Change]) -> Iterator[None]:
-    """Let errors name what the user wrote: the change they speak of, or all that do not fit."""
+    """Raise InvalidInputError again, naming the changes that caused it as the user wrote them."""
     try:
         yield
     except InvalidInputError as error:

@@ -1,4 +1,4 @@
-"""How a motion starts: rigid motions, states of nodes, an equilibrium."""
+"""Initial conditions: rigid-body motions, nodal states, static equilibrium."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ancfdae.numerics.arrays import Array
 class InitialVelocity(Designable):
     """Initial velocity of a beam or a rigid body: a rigid-body motion.
 
-    v = velocity + angular_velocity x (r - about); slopes turn with it. Design targets, under the
+    v = velocity + angular_velocity x (r - about); slopes rotate with it. Design targets, under the
     name of the body: ``angular_velocity`` (in space ``angular_velocity_x`` ...), ``about_x`` ...,
     and ``velocity_x`` ... where it is given.
 
@@ -63,7 +63,7 @@ class InitialVelocity(Designable):
 @final
 @dataclass(frozen=True)
 class NodalState:
-    """Initial coordinates and velocities of a beam that is not rigid, node by node.
+    """Initial coordinates and velocities of a flexible beam, node by node.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class NodalState:
         returns them, where the slope along the beam differs on both sides of a node (`Beam`,
         kinks).
     velocities : array, optional
-        Their rates, in the same shape; m/s, slopes in 1/s. Zero by default.
+        Rates of the coordinates, in the same shape; m/s, slopes 1/s. Zero by default.
     """
 
     body: str
@@ -85,19 +85,19 @@ class NodalState:
 @final
 @dataclass(frozen=True)
 class EquilibriumStart:
-    """Start from an equilibrium: a mechanism that hangs, or is pre-stressed, at rest.
+    """Start from static equilibrium, for example of a hanging or pre-stressed mechanism.
 
-    The search for it starts from the reference configuration, or from the `NodalState` of a beam.
-    Its derivatives with respect to the design are part of those of the motion. A start in an
-    unstable equilibrium is warned of (`StabilityWarning`).
+    The search for the equilibrium starts from the reference configuration, or from the `NodalState`
+    of a beam. Design derivatives of the motion include those of the equilibrium. An unstable
+    equilibrium raises a `StabilityWarning`.
 
     Parameters
     ----------
     loads : sequence of Load, optional
-        Loads that it carries; by default the loads of the scene. A load that acts during the motion
-        too must be the very same object; the numbers of the others are design targets as well.
+        Loads in equilibrium; by default the loads of the scene. A load that also acts during the
+        motion must be the same object; the numbers of all loads are design targets.
     gravity : sequence of float, optional
-        By default that of the scene; m/s^2.
+        Gravity in equilibrium, by default the gravity of the scene; m/s^2.
     """
 
     loads: Sequence[Load] | None = None
@@ -112,7 +112,7 @@ class EquilibriumStart:
             require_vector("EquilibriumStart.gravity", self.gravity)
 
     def with_loads(self, changed: Sequence[Load]) -> EquilibriumStart:
-        """Return the start with its loads replaced by given loads of the same names."""
+        """Return the start with its loads replaced by the loads of the same names in `changed`."""
         if self.loads is None:
             return self
         by_name = {load.name: load for load in changed}
@@ -125,9 +125,9 @@ Start: TypeAlias = InitialVelocity | NodalState | EquilibriumStart
 def checked_start(
     start: InitialVelocity | NodalState, beam: BeamBody | RigidBody, d: int, kinks: tuple[int, ...]
 ) -> InitialVelocity | NodalState:
-    """Return a checked start of a beam with kinks at these nodes, its sequences as arrays.
+    """Return the checked start of a beam with kinks at these nodes, its sequences as arrays.
 
-    InvalidInputError if vectors have another size, a rigid body has states of nodes, or elements do
+    InvalidInputError if vectors have another size, a rigid body has nodal states, or elements do
     not meet.
     """
     where = f"start of {beam.name!r}"
@@ -149,7 +149,7 @@ def checked_start(
 
 
 def _of_nodes(where: str, given: Array, beam: BeamBody, kinks: tuple[int, ...]) -> Array:
-    """Return vectors of nodes, or of both ends of elements, which meet with the same."""
+    """Return the checked vectors of nodes, or of both ends of elements that meet at nodes."""
     n, vectors = beam.element_count, (beam.element.n_s, beam.dimension)
     if np.ndim(given) != 4:
         return require_array(where, given, (n + 1, *vectors))
@@ -167,12 +167,12 @@ def _of_nodes(where: str, given: Array, beam: BeamBody, kinks: tuple[int, ...]) 
 
 
 def _require_sections(where: str, coordinates: Array) -> None:
-    """Refuse nodes without a centre line or a section, or with one that is turned inside out."""
+    """Raise InvalidInputError unless slopes at each node span a right-handed section."""
     slopes = coordinates[..., 1:, :]
     sizes = np.linalg.norm(slopes, axis=-1)
     flat = np.any(sizes == 0, axis=-1)
     if slopes.shape[-2] == slopes.shape[-1]:
-        # Round-off of a determinant is some 1e-16 of the product of the sizes.
+        # The round-off of a determinant is about 1e-16 of the product of the norms.
         flat |= np.linalg.det(slopes) <= 1e-12 * np.prod(sizes, axis=-1)
     if np.any(flat):
         raise InvalidInputError(

@@ -1,4 +1,4 @@
-"""A frame that turns at a constant rate, in which a scene is declared."""
+"""A frame that rotates at a constant rate, in which a scene can be declared."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,28 +11,28 @@ from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.design import Designable
 from ancfdae.numerics.arrays import Array, Numbers
 
-# Gravity across the axis, relative to its size, that is round-off of the directions.
+# Gravity across the axis, relative to its magnitude, that counts as round-off of the directions.
 _ACROSS = 1e-12
 
 
 @final
 @dataclass(frozen=True)
 class RotatingFrame(Designable):
-    """The frame of a scene that turns steadily about a fixed axis: blades, shafts, discs.
+    """A frame that rotates steadily about a fixed axis: for blades, shafts, discs.
 
-    All of the scene is declared in it and turns with it: ground, directions of forces, dampers to
-    ground. What was at rest in it turns steadily; centrifugal and gyroscopic forces are added.
-    Gravity must act along the axis. Design targets ``scene.rate``, and ``scene.axis_x`` ...,
+    The whole scene is declared in the frame and rotates with it: ground, directions of forces,
+    dampers to ground. Bodies at rest in it rotate steadily; centrifugal and gyroscopic forces are
+    added. Gravity must act along the axis. Design targets ``scene.rate``, and ``scene.axis_x`` ...,
     ``scene.through_x`` ... where they are given.
 
     Parameters
     ----------
     rate : float
-        Positive about the axis, in the plane counterclockwise; rad/s.
+        Angular velocity, positive about the axis, in the plane counterclockwise; rad/s.
     axis : sequence of float, optional
-        In space; z by default. Not in the plane.
+        Axis in space; z by default. Must be left out in the plane.
     through : sequence of float, optional
-        A point of the axis; the origin by default.
+        A point of the axis; the origin by default; m.
     """
 
     rate: float
@@ -49,7 +49,7 @@ class RotatingFrame(Designable):
         self.check_fields("RotatingFrame")
 
     def check(self, dimension: int, gravity: Numbers | None) -> None:
-        """Refuse vectors of another space, and gravity that turns in the frame."""
+        """Raise InvalidInputError for vectors of another dimension, and gravity across the axis."""
         if self.axis is not None:
             require_vector("RotatingFrame.axis, which is for space", self.axis, (3,))
             if dimension == 2:
@@ -68,7 +68,7 @@ class RotatingFrame(Designable):
             )
 
     def turn(self, p: Array, dimension: int) -> tuple[Array, Array, Array]:
-        """Return rate, matrix J of the turn by a right angle, J x = axis x x, and point."""
+        """Return the rate, rad/s, the matrix J with J x = axis x x, and a point of the axis; m."""
         rate, axis, through = self.split(p)
         through = np.zeros(dimension) if through is None else through
         if dimension == 2:

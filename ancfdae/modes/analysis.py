@@ -1,4 +1,4 @@
-"""From a system and a configuration to its modes: as many as asked for, of any kind."""
+"""Modes of a system about a configuration: the requested number, of all kinds."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.statics.outcome import motions_in_words
 
-# A group of modes that coincide is completed by at most GROUP modes beyond those asked for, as a
-# pair of a square bar is; a larger group is cut. Where it is differentiated its end is sought up to
-# _CROWD modes: a minute.
+# A group of coinciding modes, such as a pair of a square bar, is completed by at most GROUP modes
+# beyond the requested number; a larger group is cut. If modes are differentiated the end of the
+# group is searched up to _CROWD modes, which takes a minute.
 GROUP, _CROWD = 8, 800
 
 
 def solve(small: Linearised, count: int, highest: bool, whole: bool = False) -> Eigenpairs:
-    """Return the lowest modes, growing ones first, or the highest, by falling frequency.
+    """Return the lowest modes, growing ones first, or the highest, by decreasing frequency.
 
-    A group of modes that coincide has all of them if it is asked for `whole`, or ends within GROUP
-    modes more. InvalidInputError if nothing can move, or a motion has no inertia; NoModes if ARPACK
-    finds none, or the end of a whole group is more than _CROWD modes away.
+    A group of coinciding modes is complete if `whole`, or if it ends within GROUP further modes.
+    InvalidInputError if no motion is free, or a motion has no inertia; NoModes if ARPACK finds
+    none, or the end of a whole group is more than _CROWD modes away.
     """
     asked, n = min(count, small.n_modes), small.n_modes
     if n <= 0:
@@ -48,7 +48,7 @@ def solve(small: Linearised, count: int, highest: bool, whole: bool = False) -> 
         first = pairs.first(asked)
         if len(first.z) < len(pairs.z) or wanted == n:
             return first
-        # Rigid motions are all sought: where they have no end round-off has taken the others.
+        # All rigid motions are searched: if they do not end, the other modes are below round-off.
         if not whole and wanted > asked + GROUP and first.z[-1] != 0:
             return first
         wanted = min(max(2 * wanted, asked + GROUP + 1), n)
@@ -57,7 +57,7 @@ def solve(small: Linearised, count: int, highest: bool, whole: bool = False) -> 
 
 
 def _refuse_crowd(small: Linearised, pairs: Eigenpairs) -> None:
-    """Refuse a last group of modes that coincide, whose end is far."""
+    """Raise NoModes for a last group of coinciding modes that is too large."""
     alone = coincident(pairs)[-1][0]
     repairs = [f"ask for {alone} modes or fewer"] if alone else []
     repairs += ["pass damped=False"] if np.iscomplexobj(pairs.z) else []
@@ -82,10 +82,11 @@ def modes_about(
     saddle: SaddlePoint | None,
     mass: Factorization | None,
 ) -> Modes:
-    """Return modes about a configuration; InvalidInputError if it does not fit, or without inertia.
+    """Return modes about a configuration; InvalidInputError if it does not fit the system.
 
-    Velocity forces count if `damped`, by default if there are any. `pull_back` takes derivatives in
-    q, lam and b back to the design; without it they go forward, along those of the configuration.
+    Also if a motion has no inertia. Velocity forces are included if `damped`, by default if there
+    are any. `pull_back` maps derivatives in q, lam and b to the design (adjoint); without it modes
+    are differentiated directly, along the derivatives of the configuration.
     """
     small = Linearised.of(system, at, damped, saddle, mass)
     pairs = solve(small, count, highest, whole=system.n_b > 0)
@@ -118,11 +119,11 @@ def modes_about(
 
 
 def exponents(small: Linearised, z: Array) -> Array:
-    """Return s with Im s >= 0, or s > 0 where z = -s^2 is negative."""
+    """Return the exponents s with Im s >= 0, or s > 0 if z = -s^2 is negative, shape (count,)."""
     if small.D is not None:
         return z
     s = np.sqrt(-z.astype(complex))
-    return np.asarray(np.where(s.imag < 0, -s, s)) + 0.0  # No -0.
+    return np.asarray(np.where(s.imag < 0, -s, s)) + 0.0  # Adding zero turns -0 into 0.
 
 
 def _exponents_b(small: Linearised, s: Array, z_b: Array) -> Array:

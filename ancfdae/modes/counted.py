@@ -1,12 +1,12 @@
-"""Modes of large symmetric pencils, from the lowest or the highest on, and a count that none lacks.
+"""Modes of large symmetric pencils, from the lowest or the highest on, with a proof by counting.
 
-Growing motions have z = -s^2 < 0, and may lie far below all that vibrates slowly: a column beyond
-its critical load beside a strip of rubber. K - z M has a negative eigenvalue for each mode below z
-(Sylvester). Counts at z that fall by a factor, down to one below which nothing lies, show how many
-growing motions each interval has. Lanczos's method with a shift at its lower end finds these, one
-interval after the other from the lowest on, and then the others with a shift of their own size.
-Modes that were found are left out of the spaces that follow, so that each space finds one copy or
-more of modes that coincide; it is repeated until the count agrees.
+Growing motions have z = -s^2 < 0, and may lie far below all slow vibrations: a column beyond its
+critical load next to a strip of rubber. K - z M has a negative eigenvalue for each mode below z
+(Sylvester). Counts at z that decrease by a factor, down to one below which there are no modes, show
+how many growing motions each interval has. Lanczos's method with a shift at its lower end finds
+these, one interval after the other from the lowest on, and then the other modes with a shift of
+their own magnitude. Modes already found are deflated from the following Krylov spaces, so that each
+space finds one copy or more of coinciding modes; it is repeated until the count agrees.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from ancfdae.modes.lanczos import BETWEEN, NEAR_ZERO, Count, Lanczos, ritz
 from ancfdae.modes.linearised import EPS, Linearised
 from ancfdae.numerics.arrays import Array
 
-# Shifts lie _BELOW times as far from zero as the values sought; intervals grow by _FACTOR down to
-# _FAR times the largest entry of K. At most _SPACES spaces are made for one interval.
+# Shift over the largest value searched; growth factor of intervals; largest |z| over the largest
+# entry of K; and largest number of Krylov spaces for one interval.
 _BELOW, _FACTOR, _FAR, _SPACES = 1.5, 4.0, 1e4, 100
 
 
 @final
 @dataclass(frozen=True)
 class _Found:
-    """Values and shapes, orthonormal in M, that were found so far: z, or -z of the highest."""
+    """Values and shapes, orthonormal in M, found so far; -z in place of z for the highest."""
 
     small: Linearised
     z: Array
     X: Array
 
     def extended(self, shift: float | None, count: int) -> tuple[_Found, float] | None:
-        """Add the `count` modes next to a shift; return the next value too. None if they fail."""
+        """Return the modes with `count` more next to a shift, and the next value, or None."""
         count = min(count, self.small.n_free - len(self.z))
         if count <= 0:
             return None
@@ -46,27 +46,27 @@ class _Found:
             return None
         z = space.z if shift is not None else -space.z
         X = space.X
-        # A space of all motions that are left has no next one.
+        # A space of all remaining motions has no next value.
         beyond = float(z[count]) if len(z) > count else np.inf
         found = np.append(self.z, z[:count]), np.hstack([self.X, X])
         order = np.argsort(found[0], kind="stable")
         return _Found(self.small, found[0][order], found[1][:, order]), beyond
 
     def with_rigid(self, R: Array) -> _Found:
-        """Add rigid motions, orthonormal in M."""
+        """Return the modes with the rigid motions R, orthonormal in M, added."""
         z = np.einsum("ij,ij->j", R, self.small.times(self.small.K, R))
         return _Found(self.small, np.append(self.z, z), np.hstack([self.X, R]))
 
     def below(self, cut: float) -> int:
-        """Return how many lie below."""
+        """Return the number of values below `cut`."""
         return int(np.sum(self.z < cut))
 
 
 def lowest_of_all(small: Linearised, count: int, asked: int) -> tuple[Array, Array, Array] | None:
-    """Return the lowest z = -s^2 of symmetric K, increasing, shapes, and errors left in z.
+    """Return the lowest z = -s^2 of symmetric K, increasing, with shapes and errors of z.
 
-    None unless counts show that none of the first that are `asked` for lacks, nor any that
-    coincides with them. Rigid motions come with all others of theirs and the next mode.
+    None unless counts prove that none of the first `asked` is missing, nor any that coincides with
+    them. Rigid motions are returned all together, with the next mode.
     """
     try:
         top, rigid = _sizes(small, count)
@@ -89,7 +89,10 @@ def lowest_of_all(small: Linearised, count: int, asked: int) -> tuple[Array, Arr
 
 
 def highest_of_all(small: Linearised, count: int, asked: int) -> tuple[Array, Array, Array] | None:
-    """Return the highest z of symmetric K, falling, shapes, and no errors; see `lowest_of_all`."""
+    """Return the highest z of symmetric K, decreasing, shapes, and zero errors.
+
+    None as in `lowest_of_all`.
+    """
     found = _completed(_none(small), None, count, asked)
     if found is None:
         return None
@@ -101,14 +104,14 @@ def _none(small: Linearised) -> _Found:
 
 
 def _sizes(small: Linearised, count: int) -> tuple[float, Array]:
-    """Return how far below zero a shift for the lowest modes lies, and the rigid motions."""
+    """Return the distance below zero of a shift for the lowest modes, and the rigid motions."""
     space = Lanczos(small, -NEAR_ZERO * small.size, count)
     space.converge(0)
     z, X = space.z[:count], space.X
     soft = np.abs(z) <= NEAR_ZERO * small.size
     R = rigid_motions(small) if np.any(soft) else X[:, :0]
     if R.size:
-        # Beside motions without stiffness the others have few digits.
+        # In one space with motions without stiffness the other modes have few digits.
         few = max(count - R.shape[1], 2)
         space = Lanczos(small, -NEAR_ZERO * small.size, few, R)
         space.converge(0)
@@ -119,9 +122,9 @@ def _sizes(small: Linearised, count: int) -> tuple[float, Array]:
 
 
 def _growing(small: Linearised, start: float, count: int) -> tuple[_Found, float] | None:
-    """Return all modes below a negative start, or the first `count` of them and more, and a cut.
+    """Return all modes below a negative start, or at least the first `count` of them, and a cut.
 
-    All modes below the cut are known.
+    All modes below the cut are known. None if counts cannot confirm this.
     """
     found, cuts = _none(small), [start]
     counts = [Count(small, start)]
@@ -151,7 +154,7 @@ def _growing(small: Linearised, start: float, count: int) -> tuple[_Found, float
 
 
 def _completed(found: _Found, shift: float | None, count: int, asked: int) -> _Found | None:
-    """Return `count` modes or more next to a shift, beside those found, that a count confirms."""
+    """Return at least `count` modes next to a shift, with those found, confirmed by a count."""
     lacking, beyond = count - len(found.z), np.inf
     for _ in range(_SPACES):
         more = found.extended(shift, lacking)
@@ -160,7 +163,7 @@ def _completed(found: _Found, shift: float | None, count: int, asked: int) -> _F
         found, beyond = more[0], min(beyond, more[1])
         if len(found.z) == found.small.n_free:
             return found
-        # The widest gap behind those asked for: a group of modes that coincide is not cut.
+        # The widest gap after the requested modes: a group of coinciding modes is not cut.
         ends = np.append(found.z[found.z < beyond], beyond)[asked - 1 :]
         if len(ends) < 2:
             return None
@@ -175,13 +178,13 @@ def _completed(found: _Found, shift: float | None, count: int, asked: int) -> _F
                 return found
         elif counted.fails:
             return None
-        else:  # All that are known coincide: where they end is sought.
+        else:  # All known modes coincide: the end of the group is searched.
             lacking = max(lacking, count)
     return None
 
 
 def _as_pairs(found: _Found, cut: float) -> tuple[Array, Array, Array] | None:
-    """Return values, shapes and changes after Ritz's method, of either side of a cut alone."""
+    """Return z, shapes and changes of z by Ritz's method, separate for z below and above a cut."""
     parts = []
     for side in (found.z < cut, found.z >= cut):
         if np.any(side):

@@ -1,28 +1,29 @@
 """Modes with damping.
 
-**Damping in proportion to stiffness**, D = tau K, as of one material free of stress, leaves the
-shapes as they are. A natural frequency omega, z = omega^2, has the exponents
+**Damping proportional to stiffness**, D = tau K, as for one material free of stress, does not
+change the shapes. A natural frequency omega, z = omega^2, has the exponents
 
     s^2 + tau z s + z = 0
 
-Where tau omega > 2 both are real: one near -1/tau, where those of all stiff motions crowd, and one
-near -tau omega^2. No method that starts from the matrices of s separates the exponents near -1/tau;
-the natural frequencies do.
+If tau omega > 2 both are real: one near -1/tau, where the exponents of all stiff motions cluster,
+and one near -tau omega^2. No method that starts from the matrices of s separates the exponents near
+-1/tau; the natural frequencies do.
 
-**Completeness.** Whether all exponents within a circle about zero have been found is shown by
-counting them. By the argument principle det F(s), on the motions that joints leave, turns N/2 times
-about zero along the upper half of the circle |s| = r, from r to -r, where N roots lie within: roots
-come in conjugate pairs. Over the polynomial of the roots that were found,
+**Completeness.** Whether all exponents within a circle about zero have been found is proved by
+counting them. By the argument principle det F(s), on the motions that joints leave free, turns N/2
+times about zero along the upper half of the circle |s| = r, from r to -r, if N roots lie within:
+roots come in conjugate pairs. Divided by the polynomial of the roots that were found,
 
     q(s) = det F(s) / prod (s - s_j)
 
-turns (N - N_found)/2 times. Where all are found q varies little, and a few points of the circle
-are enough. Their distances grow by a factor: of equal ones each could hide whole turns.
+turns (N - N_found)/2 times. If all are found q varies little, and a few points of the circle are
+enough. Their distances grow by a factor: between equidistant points each interval could hide whole
+turns.
 
-Real roots near -1 over a retardation time are too many to be found one by one in large systems.
-Where M, D and K are symmetric F(s) gains or loses a negative eigenvalue at a real root, and
-Sylvester's law of inertia counts negative eigenvalues: between two real s there are at least as
-many roots as these counts differ by.
+Real roots near -1 over a retardation time are too many to be found one by one in large systems. If
+M, D and K are symmetric F(s) gains or loses a negative eigenvalue at a real root, and Sylvester's
+law of inertia counts negative eigenvalues: between two real s there are at least as many roots as
+these counts differ by.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ from ancfdae.numerics.inertia import WHOLE, ConstrainedMatrix
 
 
 def retardation_time(small: Linearised) -> float | None:
-    """Return tau with D = tau K to the round-off of their entries; None if there is none; s."""
+    """Return tau, s, with D = tau K to round-off of their entries, or None."""
     if small.D is None or not small.symmetric:
         return None
     pattern, root = small.system.pattern, np.sqrt(small.system.weights)
@@ -75,16 +76,16 @@ def retardation_time(small: Linearised) -> float | None:
 
 
 def proportional_exponents(tau: float, z: Array, noise: Array) -> tuple[Array, Array, Array]:
-    """Return the proportional_exponents s, their round-off, and the number of the shape of each.
+    """Return the exponents s for D = tau K, their round-off, and the index of the shape of each.
 
-    z = omega^2 with its round-off, shapes (n,). Rigid motions have s = 0 once; a vibration the
-    exponent with Im s > 0; real proportional_exponents come in twos.
+    z = omega^2 with its round-off, shapes (n,). A rigid motion has s = 0 once; a vibration has the
+    exponent with Im s > 0; real exponents come in pairs.
     """
     half, moves = 0.5 * tau * z, z != 0
     left = half**2 - z
     vibrates = left < 0
     root = np.sqrt(np.abs(left))
-    # The larger of two real proportional_exponents has no cancellation, and their product is z.
+    # The larger of two real exponents has no cancellation, and their product is z.
     far = -half - np.copysign(root, half)
     near = z / np.where(far == 0, 1.0, far)
     first = np.where(vibrates, -half + 1j * root, near)
@@ -93,7 +94,7 @@ def proportional_exponents(tau: float, z: Array, noise: Array) -> tuple[Array, A
     s = np.concatenate([first, far[creeps]])
     z, noise = z[number], noise[number]
     # ds = -(tau s + 1) dz / (2 s + tau z), and tau s + 1 = -s^2 / z; next to a double root ds is
-    # the root of what (tau s + 1) dz moves.
+    # the square root of the change (tau s + 1) dz.
     moved = np.abs(s) ** 2 / np.where(z == 0, 1.0, np.abs(z)) * noise
     slope = np.maximum(np.abs(2 * s + tau * z), np.sqrt(moved))
     return s, moved / np.where(slope == 0, 1.0, slope) + EPS * np.abs(s), number
@@ -102,24 +103,24 @@ def proportional_exponents(tau: float, z: Array, noise: Array) -> tuple[Array, A
 # -- completeness ------------------------------------------------------------------------------
 
 
-# Each part of the half circle at first, over the one before, and how many parts there may be.
+# Growth factor of the initial intervals of the half circle, and the largest number of intervals.
 _GROWTH, _MOST = 1.5, 400
-# Change of log q over a part that is not halved.
+# Largest change of log q over an interval that is not halved.
 _STEP = 1.0
-# The circle passes through the widest gap of sizes up to _BEYOND times the last one, no more than
-# _BESIDE times the size where the gap begins: beyond it not all may be known.
+# The circle passes through the widest gap of |s| up to _BEYOND times the last one, at most _BESIDE
+# times |s| at the start of the gap: beyond it exponents may be unknown.
 _BEYOND, _BESIDE = 1.2, 1.05
-# Real s at which negative eigenvalues are counted: _PER_DECADE for a factor of ten, over _DECADES
-# up to _FAR times the size of interest; and how often intervals with several roots are halved.
+# Real s at which negative eigenvalues are counted: _PER_DECADE per decade, over _DECADES up to _FAR
+# times the radius; and number of bisections of intervals with several roots.
 _PER_DECADE, _DECADES, _FAR, _REFINED = 6, 7, 100.0, 4
-# An eigenvalue counts as negative below minus this, relative to the diagonal.
+# An eigenvalue counts as negative if it is below minus this times the diagonal.
 _NEGATIVE = 1e-12
 
 
 def all_found(small: Linearised, s: Array, n_zero: int, last: float) -> bool:
-    """Whether s, with Im s >= 0, has all roots of size up to `last` that vibrate.
+    """Return whether s, with Im s >= 0, has all vibrating roots with |s| up to `last`.
 
-    `n_zero` roots beside them are zero. False, too, where round-off hides it.
+    `n_zero` further roots are zero. False, too, if round-off hides the answer.
     """
     r = _between(np.abs(s), last)
     real, pairs = s[s.imag == 0].real, s[s.imag > 0]
@@ -130,7 +131,10 @@ def all_found(small: Linearised, s: Array, n_zero: int, last: float) -> bool:
 
 
 def none_vibrates_beyond(small: Linearised, s: Array, n_zero: int) -> bool:
-    """Whether s has all roots that vibrate, of a symmetric system: all others are real."""
+    """Return whether exponents s contain all vibrations of a symmetric system.
+
+    A count shows that all further exponents are real.
+    """
     if not small.symmetric:
         return False
     assert small.D is not None
@@ -139,7 +143,7 @@ def none_vibrates_beyond(small: Linearised, s: Array, n_zero: int) -> bool:
 
 
 def _between(sizes: Array, last: float) -> float:
-    """Return a radius just beyond `last`, in the widest gap of the sizes next to it."""
+    """Return a radius just beyond `last`, in the widest gap of |s| next to it."""
     top = _BEYOND * last
     ends = np.sort(np.concatenate([[last, top], sizes[(sizes > last) & (sizes < top)]]))
     widest = int(np.argmax(ends[1:] / ends[:-1]))
@@ -147,7 +151,7 @@ def _between(sizes: Array, last: float) -> float:
 
 
 def _encloses(small: Linearised, roots: Array, r: float) -> bool:
-    """Whether the circle encloses no root beside the given ones."""
+    """Whether the circle |s| = r about zero encloses no roots of det F(s) but the given ones."""
 
     def log_q(angle: float) -> complex:
         s = r * np.exp(1j * angle)
@@ -176,14 +180,14 @@ def _encloses(small: Linearised, roots: Array, r: float) -> bool:
 
 
 def _real_roots(small: Linearised, far: float) -> Array:
-    """Return about where real roots lie in (-far, 0): no more than there are.
+    """Return rough values of real roots s in (-far, 0); 1/s. There are at least as many roots.
 
-    Intervals with several roots are halved: those that crowd next to -1 over a retardation time
-    stay together.
+    Intervals with several roots are bisected a few times: the roots that cluster next to -1 over a
+    retardation time stay in one interval.
     """
 
     def counted(sizes: Iterable[float]) -> list[tuple[float, int]]:
-        """Return sizes with numbers of negative eigenvalues, where round-off does not hide them."""
+        """Return pairs of |s| and the number of negative eigenvalues; without uncertain counts."""
         counts = [(size, _measured(small, -size).below(_NEGATIVE)) for size in sizes]
         return [(size, count) for size, count in counts if count is not None]
 
@@ -198,7 +202,7 @@ def _real_roots(small: Linearised, far: float) -> Array:
 
 
 def _measured(small: Linearised, s: complex) -> ConstrainedMatrix:
-    """Return F(s), measured against the diagonal of |s|^2 M + |s| |D| + |K|."""
+    """Return F(s), scaled by the diagonal of |s|^2 M + |s| |D| + |K|."""
     assert small.D is not None
     diagonal = small.system.pattern.diagonal
     M, D, K = (np.abs(x[diagonal]) for x in (small.M, small.D, small.K))
@@ -210,13 +214,14 @@ def _measured(small: Linearised, s: complex) -> ConstrainedMatrix:
 # -- modes -------------------------------------------------------------------------------------
 
 
-# Up to this many independent motions dense matrices take over where Arnoldi's method fails or may
-# have missed a vibration; half a minute.
+# Largest number of independent motions for which dense matrices (half a minute) replace Arnoldi's
+# method where it fails or may have missed a vibration.
 _DENSE_CROWDED = 1500
-# Arnoldi's method looks for _MORE pairs than are asked for, and for that number times the next of
-# _TIMES where some may be missing.
+# Arnoldi's method computes _MORE pairs more than requested, times the next number of _TIMES where
+# pairs may be missing.
 _MORE, _TIMES = 2, (1, 2, 4, 8, 16)
-# Part of itself by which a vibration may move as it is sharpened; by more it became another one.
+# Largest relative change of a vibration's exponent by inverse iteration; a larger change means that
+# the iteration converged to another mode.
 _MOVED = 1e-3
 _HIDDEN = (
     "modes: lower vibrations than those found may be missing, among motions that creep. Shorten "
@@ -231,9 +236,9 @@ _TINY = float(np.finfo(float).tiny)
 
 
 def damped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
-    """Return the first exponents with Im s >= 0, or the farthest from zero, and their shapes.
+    """Return the first exponents s with Im s >= 0, or those farthest from zero, and their shapes.
 
-    NoModes if one of them could be off by more than a part of 2e-6, or if a vibration below the
+    Raises NoModes if an exponent may have a relative error above 2e-6, or if a vibration below the
     last one may be missing.
     """
     tau = retardation_time(small)
@@ -266,7 +271,7 @@ def damped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
 
 
 def _may_grow(small: Linearised) -> bool:
-    """Whether a motion may grow: none does where K and what dissipates are positive definite."""
+    """Whether motions may grow; none does where K and the dissipation are positive definite."""
     assert small.D is not None
     if not small.is_symmetric(small.K):
         return True
@@ -277,17 +282,17 @@ def _may_grow(small: Linearised) -> bool:
 
 
 def _missing(small: Linearised) -> NoModes:
-    """Return the error for vibrations that may be missing; nothing creeps where D is gyroscopic."""
+    """Return the error for vibrations that may be missing; a gyroscopic D lets no motion creep."""
     assert small.D is not None
     gyroscopic = small.is_symmetric(small.D, sign=-1.0)
     return NoModes(_CROWDED if gyroscopic else small.words(_HIDDEN, _CROWDED))
 
 
 def _of_large(small: Linearised, count: int, highest: bool, rigid: Array) -> Eigenpairs | None:
-    """Return modes by Arnoldi's method; None if vibrations may be missing.
+    """Return modes of a large system by Arnoldi's method; None if vibrations may be missing.
 
-    It finds exponents nearest to a real shift, not those of least |s|, and fails where too many
-    crowd next to -1 over a retardation time.
+    Arnoldi's method finds the exponents nearest to a real shift, not those of least |s|, and fails
+    where too many cluster next to -1 over a retardation time.
     """
     more = count + (0 if highest else rigid.shape[1])
     around = undamped(replace(small, D=None), more, highest)
@@ -308,7 +313,7 @@ def _of_large(small: Linearised, count: int, highest: bool, rigid: Array) -> Eig
 
 
 def _size(small: Linearised, highest: bool) -> float:
-    """Return the size of the exponents that dense matrices are to give most digits; 1/s."""
+    """Return the magnitude of s, in 1/s, at which dense matrices give most digits."""
     still = replace(small, D=None)
     z = np.abs(dense.undamped(still, small.n_free, highest)[0])
     largest = float(np.max(z))
@@ -320,15 +325,18 @@ def _size(small: Linearised, highest: bool) -> float:
 
 
 def _highest(small: Linearised, count: int, s: Array, X: Array) -> Eigenpairs:
-    """Return the exponents farthest from zero, sharpened."""
+    """Return the exponents farthest from zero with shapes, after inverse iteration."""
     order = np.argsort(-np.abs(s), kind="stable")[:count]
     return _checked(small, *each_sharpened(small, s[order], X[:, order]))
 
 
 def _lowest(small: Linearised, count: int, rigid: Array, s: Array, X: Array) -> Eigenpairs | None:
-    """Return the first modes, sharpened, rigid ones too; None if a vibration became another one."""
+    """Return the first modes, rigid ones too, after inverse iteration, or None.
+
+    None if a vibration changed so much that it became another one.
+    """
     order = _ranked(s, noise_of(small, s, X))[:count]
-    # Before they are sharpened some grow by round-off, which would take the place of others.
+    # Before inverse iteration some modes grow by round-off and would displace vibrations.
     lowest = np.argsort(np.where(s.imag, np.abs(s), np.inf))[: np.sum(s.imag > 0)]
     order = np.union1d(order, lowest[:count])
     sharp, X, change = each_sharpened(small, s[order], X[:, order])
@@ -341,7 +349,7 @@ def _lowest(small: Linearised, count: int, rigid: Array, s: Array, X: Array) -> 
 
 
 def _checked(small: Linearised, s: Array, X: Array, change: Array) -> Eigenpairs:
-    """Return modes that round-off leaves as they are; NoModes if one is moved by too much."""
+    """Return normalised modes; raises NoModes if round-off changes one by too much."""
     pairs = finished(small, s, X)
     left = np.maximum(likely_error(small, pairs, change), _unsolved(small, pairs))
     refuse_lost(small, pairs.z, left)
@@ -351,10 +359,10 @@ def _checked(small: Linearised, s: Array, X: Array, change: Array) -> Eigenpairs
 def _has_all_that_vibrate(
     small: Linearised, count: int, rigid: Array, s: Array, pairs: Eigenpairs
 ) -> bool:
-    """Whether modes have all vibrations below the last one, by a count of their own.
+    """Whether the modes `pairs` contain all vibrations below the last one, proved by a count.
 
-    The modes were sharpened from some of the exponents s. Where one of the first `count` modes only
-    decays, no vibration at all may be missing.
+    The modes come from some of the exponents s by inverse iteration. If one of the first `count`
+    modes only decays, all vibrations of the system must have been found.
     """
     vibrates = pairs.z.imag > 0
     n_zero = rigid.shape[1] + undamped_part(small, rigid).shape[1]
@@ -368,7 +376,7 @@ def _has_all_that_vibrate(
 
 
 def _are_distinct(small: Linearised, pairs: Eigenpairs) -> bool:
-    """Whether vibrations that coincide have shapes that are independent."""
+    """Whether vibrations with coinciding exponents have linearly independent shapes."""
     for group in coincident(pairs):
         X = pairs.X[:, group]
         if len(group) > 1 and np.any(pairs.z[group].imag):
@@ -379,11 +387,12 @@ def _are_distinct(small: Linearised, pairs: Eigenpairs) -> bool:
 
 
 def _in_proportion(small: Linearised, tau: float, count: int, highest: bool) -> Eigenpairs:
-    """Return modes where D = tau K: of the undamped ones, and so exact to their digits.
+    """Return modes where D = tau K, from the undamped modes, so exact to their digits.
 
-    In either order they belong to as many of the lowest natural frequencies and of the highest: a
-    vibration has |s| = omega; of real exponents the one near -1/tau falls with omega, and the other
-    one grows.
+    The farthest exponents s belong to the highest natural frequencies omega, the first ones to the
+    lowest and, where motions are overdamped, to the highest too: a vibration has |s| = omega; of
+    two real exponents the one near -1/tau decreases in size with omega, the one near -tau omega^2
+    increases.
     """
     still, n = replace(small, D=None), small.n_free
     ends = [] if highest else [undamped(still, min(count, n), False)]
@@ -399,10 +408,10 @@ def _in_proportion(small: Linearised, tau: float, count: int, highest: bool) -> 
 
 
 def _disproportion(small: Linearised, tau: float, pairs: Eigenpairs) -> Array:
-    """Return a bound of the error of each exponent, (count,), with what D - tau K adds to it.
+    """Return a bound of the error of each exponent from assuming D = tau K, (count,); 1/s.
 
-    Beside stiff motions a dashpot on a soft one may pass for round-off of the matrices. Infinite
-    for rigid motions that it slows down.
+    Beside stiff motions a dashpot on a soft one may pass for round-off of the matrices. The bound
+    is infinite for rigid motions that damping slows down.
     """
     assert small.D is not None
     X, free = pairs.X, pairs.z == 0
@@ -417,16 +426,16 @@ def _disproportion(small: Linearised, tau: float, pairs: Eigenpairs) -> Array:
 
 
 def _unsolved(small: Linearised, pairs: Eigenpairs) -> Array:
-    """Return a bound of the error of each exponent, (count,); 1/s, from residuals r of the modes.
+    """Return a bound of the error of each exponent from the residual of its mode, (count,); 1/s.
 
-    r = F(s) x + Phi_q^T mu is measured in A = |s|^2 M + |s| D + K: where M, D and K are positive
-    definite, e with e^2 = r^H A^-1 r / x^H A x is the least change of the matrices, relative to
-    the work of each term in any motion, with which s and x are exact. It moves s by
-    e x^H A x / |x^H F'(s) x|; where matrices are symmetric and no other exponent is near, by the
-    square of it over the distance of the next one.
+    r = F(s) x + Phi_q^T mu is measured in A = |s|^2 M + |s| D + K. Where M, D and K are positive
+    definite, e with e^2 = r^H A^-1 r / x^H A x is the smallest change of the matrices, relative to
+    the work of each term in any motion, for which s and x are exact. It changes s by e x^H A x /
+    |x^H F'(s) x|; where matrices are symmetric and no other exponent is near, by the square of that
+    over the distance to the next exponent.
     """
     bound, half = np.zeros(len(pairs.z)), half_gap(pairs.z, pairs.noise)
-    # Beyond all that grows, where A is singular.
+    # Above the growth rates of all growing motions, at which A is singular.
     least = 2.0 * float(np.max(pairs.z.real, initial=0.0))
     for j, (s, x) in enumerate(zip(pairs.z, pairs.X.T, strict=True)):
         if s == 0:
@@ -446,10 +455,10 @@ def _unsolved(small: Linearised, pairs: Eigenpairs) -> Array:
 
 
 def _ranked(s: Array, noise: Array) -> Array:
-    """Return the order of exponents: growing ones, fastest first, rigid, vibrating, decaying ones.
+    """Return the order of exponents: growing by growth rate, rigid, vibrating, decaying by |s|.
 
-    Each kind by size. A body with internal damping has as many real exponents next to -1 over its
-    retardation time as motions that do not vibrate: in front they would hide those that do.
+    A body with internal damping has as many real exponents next to -1 over its retardation time as
+    motions that do not vibrate: placed first, they would hide the vibrations.
     """
     growing, vibrates = s.real > ROUND_OFF * noise, np.abs(s.imag) > half_gap(s, noise)
     kind = np.where(growing, 0, np.where(s == 0, 1, np.where(vibrates, 2, 3)))

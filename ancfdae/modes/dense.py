@@ -1,6 +1,6 @@
-"""Eigenvalues of small systems, in coordinates that keep the constraints.
+"""Eigenvalues of small systems by dense matrices, in independent coordinates.
 
-With N a basis of the null space of Phi_q, orthonormal in M, motions x = N y satisfy
+!With N a basis of the null space of Phi_q, orthonormal in M, motions x = N y satisfy
 
     y'' + D_N y' + K_N y = 0,     D_N = N^T D N,  K_N = N^T K N
 """
@@ -20,7 +20,7 @@ from ancfdae.numerics.inertia import shifted_back, shifted_inverse
 
 
 def undamped(small: Linearised, count: int, highest: bool) -> tuple[Array, Array]:
-    """Return z = -s^2 of symmetric K in increasing order, and the shapes as columns."""
+    """Return z = -s^2 of symmetric K, increasing, and the shapes as columns, (n_q, count)."""
     first = small.n_free - count if highest else 0
     within = _Within(small)
     L = _cholesky(within.matrix(small.M))
@@ -31,10 +31,10 @@ def undamped(small: Linearised, count: int, highest: bool) -> tuple[Array, Array
 
 
 def asymmetric(small: Linearised, rigid: Array) -> tuple[Array, Array, Array]:
-    """Return z = -s^2 of all but the rigid motions R, their relative errors, and the shapes.
+    """Return z = -s^2 of an asymmetric K, relative errors of z, and shapes, (n_q, k).
 
-    R is orthonormal in M. P, orthogonal to R, reduces K_N to P^T K_N P. The shapes
-    lack their part in R, which inverse iteration adds.
+    The rigid motions R, orthonormal in M, are left out. P, orthogonal to R, reduces K_N to P^T K_N
+    P. The shapes lack their components in R, which inverse iteration adds.
     """
     N, K = _reduced(small, small.K)
     P = _complement(N.T @ small.times(small.M, rigid))
@@ -44,9 +44,9 @@ def asymmetric(small: Linearised, rigid: Array) -> tuple[Array, Array, Array]:
 
 
 def damped(small: Linearised, rigid: Array, size: float) -> tuple[Array, Array]:
-    """Return all exponents s with Im s >= 0 but zeros of rigid motions, and their shapes.
+    """Return all exponents s with Im s >= 0, except zeros of rigid motions, and shapes.
 
-    Exponents of about `size` have most digits. Let sigma = size, or more where F(sigma) is not
+    Exponents near `size`, 1/s, have most digits. Let sigma = size, or more where F(sigma) is not
     positive definite, F = sigma^2 + sigma D_N + K_N and F + F^T = 2 L L^T. The matrix
 
         [ -A    -Q ]     Q = sigma^2 G^-1 L^-1 L^-T,     A = Q + sigma G^-1 L^-1 D_N L^-T
@@ -56,10 +56,10 @@ def damped(small: Linearised, rigid: Array, size: float) -> tuple[Array, Array]:
     are symmetric G = 1, and no block has a norm above 1, however stiff the bodies and however
     strong the damping. In x' = v, v' = -K x - D v round-off of D exceeds the low exponents s.
 
-    Rigid motions R, K_N R = 0, have s = 0. They are split off, and with them the drift T t, T the
-    part of R without damping: the matrix is taken on the complement of L^T R in positions and of
-    L^T T in velocities, from which shapes are taken. Shapes lack their part in T, which inverse
-    iteration adds. The columns of `rigid` are orthonormal in M.
+    Rigid motions R, K_N R = 0, have s = 0 and are left out, and so is the drift T t, with T the
+    undamped motions in R. The matrix is restricted to the complement of L^T R in positions and of
+    L^T T in velocities, from which shapes are taken. Shapes lack their component in T, which
+    inverse iteration adds. The columns of `rigid` are orthonormal in M.
     """
     assert small.D is not None
     N, K = _reduced(small, small.K)
@@ -96,9 +96,9 @@ def damped(small: Linearised, rigid: Array, size: float) -> tuple[Array, Array]:
 @final
 @dataclass(frozen=True)
 class _Within:
-    """Motions that keep the constraints, in a basis orthonormal in the weights.
+    """Motions that satisfy the constraints, in a basis orthonormal in the weights.
 
-    It is the last columns of the Q of Phi_q^T = Q R, which stays a product of reflections: few
+    The basis is the last columns of the Q of Phi_q^T = Q R, stored as a product of reflections: few
     constraints then cost little.
     """
 
@@ -115,7 +115,7 @@ class _Within:
         return reflections, sizes
 
     def _turned(self, x: Array, side: str, transposed: str) -> Array:
-        """Return the product with Q from the left or right."""
+        """Return the product of x with Q, or its transpose, from the left or right."""
         if not self.small.system.n_lam:
             return x
         args = side, transposed, *self._reflections
@@ -123,7 +123,7 @@ class _Within:
         return turned
 
     def matrix(self, values: Array) -> Array:
-        """Return M, or K where it is symmetric, in this basis."""
+        """Return M, or a symmetric K, in this basis, (n_q - n_lam,) * 2."""
         system = self.small.system
         # Transposed it lies in memory as LAPACK wants it.
         scaled = (self._scale[:, None] * system.pattern.dense(values) * self._scale).T
@@ -131,7 +131,7 @@ class _Within:
         return turned[system.n_lam :, system.n_lam :]
 
     def motions(self, Y: Array) -> Array:
-        """Return the coordinates of motions given in this basis, as columns."""
+        """Return coordinate changes, (n_q, k), of motions Y given in this basis, as columns."""
         held = np.zeros((self.small.system.n_lam, Y.shape[1]))
         return self._scale[:, None] * self._turned(np.concatenate([held, Y]), "L", "N")
 
@@ -149,7 +149,7 @@ def _cholesky(M: Array) -> Array:
 
 
 def _reduced(small: Linearised, values: Array) -> tuple[Array, Array]:
-    """Return N and the matrix in its coordinates."""
+    """Return N, (n_q, n_q - n_lam), and N^T A N for the matrix A of the given values."""
     within = _Within(small)
     L = _cholesky(within.matrix(small.M))
     N = within.motions(scipy.linalg.lapack.dtrtrs(L, np.eye(len(L)), lower=True, trans=1)[0])

@@ -42,17 +42,17 @@ from ancfdae.numerics.linear_solvers import Factorization
 @final
 @dataclass(frozen=True)
 class Totals:
-    """Total design derivatives along q_b and lam_b of a configuration."""
+    """Total design derivatives of K x, D x and M x along q_b and lam_b of a configuration."""
 
     small: Linearised
 
     def stiffness(self, x: Array) -> Array:
-        """Return the derivative of K x, shape (n_q, n_b)."""
+        """Return the design derivative of K x at fixed x, shape (n_q, n_b)."""
         still = np.zeros(self.small.system.n_q)
         return split(lambda x: self._along(StateDirection(0.0, x, still)), x)
 
     def damping(self, x: Array) -> Array:
-        """Return the derivative of D x, shape (n_q, n_b)."""
+        """Return the design derivative of D x at fixed x, shape (n_q, n_b)."""
         still = np.zeros(self.small.system.n_q)
         return split(lambda x: self._along(StateDirection(0.0, still, x)), x)
 
@@ -63,7 +63,7 @@ class Totals:
         return small.system.along_total(at.t, states, direction, states_b, (held, held))
 
     def mass(self, x: Array) -> Array:
-        """Return the derivative of M x, shape (n_q, n_b)."""
+        """Return the design derivative of M x at fixed x, shape (n_q, n_b)."""
         none = np.zeros(self.small.system.n_lam)
         return split(lambda x: self._held(x, none), x)
 
@@ -72,7 +72,7 @@ class Totals:
         return held_total(small.system, at.t, at.q, a, lam, small.q_b)
 
     def pencil(self, z: complex, x: Array, mu: Array) -> tuple[Array, Array]:
-        """Return the derivatives of F(z) x + Phi_q^T mu and of Phi_q x with z, x and mu held."""
+        """Return design derivatives of F(z) x + Phi_q^T mu and Phi_q x at fixed z, x and mu."""
         system = self.small.system
         force, mass = self.stiffness(x), self.mass(x)
         if self.small.D is None:
@@ -84,7 +84,7 @@ class Totals:
         return force + reactions, split(lambda x: self._rate(x) - self._rate(0 * x), x)
 
     def _rate(self, x: Array) -> Array:
-        """Differentiate Phi' along a velocity x that is held."""
+        """Return the design derivative of Phi' at a fixed velocity x, shape (n_lam, n_b)."""
         small, at = self.small, self.small.at
         motion_b = small.q_b, np.zeros_like(small.q_b)
         return small.system.constraint_total(at.t, (at.q, x), motion_b)
@@ -93,19 +93,19 @@ class Totals:
 # -- transposed --------------------------------------------------------------------------------
 
 
-# Takes covectors on q, lam and b; returns the design derivative, shape (n_b,).
+# Function of covectors on q, lam and b that returns the design derivative, shape (n_b,).
 PullBack: TypeAlias = Callable[[Array, Array, Array], Array]
 
 
 @final
 @dataclass(frozen=True)
 class Transposed:
-    """Products of covectors with total derivatives, each (on_q, on_lam, on_b) in one array."""
+    """Covectors times design derivatives of the pencil; each (on_q, on_lam, on_b) in one array."""
 
     small: Linearised
 
     def pencil(self, y: Array, z: complex, x: Array, mu: Array) -> Array:
-        """Pull back [y, nu]^T [F(z) x + Phi_q^T mu, Phi_q x], with z, x and mu held."""
+        """Return the gradient of [y, nu]^T [F(z) x + Phi_q^T mu, Phi_q x] at fixed z, x and mu."""
         n = self.small.system.n_q
         force, nu = y[:n], y[n:]
         total = _bilinear(self._stiffness, force, x)
@@ -117,12 +117,12 @@ class Transposed:
         return total + _bilinear(self._joints, force, mu) + _bilinear(self._joints, x, nu)
 
     def _stiffness(self, y: Array, x: Array) -> Array:
-        """Pull back y^T K x."""
+        """Return the gradient of y^T K x in q, lam and b, at fixed y and x."""
         still = np.zeros(self.small.system.n_q)
         return self._along(y, StateDirection(0.0, x, still))
 
     def _damping(self, y: Array, x: Array) -> Array:
-        """Pull back y^T D x."""
+        """Return the gradient of y^T D x in q, lam and b, at fixed y and x."""
         still = np.zeros(self.small.system.n_q)
         return self._along(y, StateDirection(0.0, still, x))
 
@@ -150,28 +150,28 @@ class Transposed:
 
 
 def pulled_back(small: Linearised, pull_back: PullBack, total: Array) -> Array:
-    """Return the design derivative of a packed covector, real or complex, shape (n_b,)."""
+    """Return the design derivative of a covector (on_q, on_lam, on_b), real or complex, (n_b,)."""
     n, m = small.system.n_q, small.system.n_lam
     return split(lambda on: pull_back(on[:n], on[n : n + m], on[n + m :]), total)
 
 
 def _bilinear(product: Callable[[Array, Array], Array], y: Array, x: Array) -> Array:
-    """Apply a product that is bilinear over the real numbers to complex vectors."""
+    """Return a product of complex vectors that is bilinear over the real numbers."""
     return split(lambda y: split(lambda x: product(y, x), x), y)
 
 
 # -- derivatives of modes ----------------------------------------------------------------------
 
 
-#: z_b, shape (count, n_b), and for each mode X_b, shape (n_q, n_b): None for a mode that coincides
-#: with another, whose shape is not unique, and by adjoints.
+#: z_b, shape (count, n_b), and X_b of each mode, shape (n_q, n_b); None where a mode coincides with
+#: another, so that its shape is not unique, and by adjoints.
 Derivatives: TypeAlias = tuple[Array, tuple[Array | None, ...]]
 
 
 def differentiate(
     small: Linearised, pairs: Eigenpairs, mu: Array, groups: list[list[int]]
 ) -> Derivatives:
-    """Differentiate eigenvalues and shapes, along the derivatives of the configuration."""
+    """Return design derivatives of eigenvalues and shapes, by direct differentiation."""
     z_b = np.zeros((len(pairs.z), small.system.n_b), dtype=pairs.z.dtype)
     X_b: list[Array | None] = [None] * len(pairs.z)
     for group in groups:
@@ -189,7 +189,7 @@ def differentiate(
 def differentiate_back(
     small: Linearised, pairs: Eigenpairs, mu: Array, groups: list[list[int]], pull_back: PullBack
 ) -> Derivatives:
-    """Differentiate eigenvalues by adjoints, through all that the configuration depends on."""
+    """Return design derivatives of eigenvalues, by adjoints of the configuration."""
     z_b = np.zeros((len(pairs.z), small.system.n_b), dtype=pairs.z.dtype)
     for group in groups:
         if _drifts(small, pairs, group):
@@ -208,20 +208,21 @@ def _product(
 
 
 def _drifts(small: Linearised, pairs: Eigenpairs, group: list[int]) -> bool:
-    """Whether the modes of a group are rigid motions of a damped system, with exponent zero."""
+    """Whether the modes of a group are rigid motions of a damped system, with s = 0."""
     return small.D is not None and bool(pairs.z[group[0]] == 0)
 
 
-# Left vectors of modes that coincide are found at _ASIDE times the distance between them, which
-# leaves a part of others that _LEFT sweeps take away.
+# Shift for left vectors of coinciding modes, over the distance between these modes, and number of
+# sweeps that remove components of other modes.
 _ASIDE, _LEFT = 16.0, 2
 
 
 def left_vectors(small: Linearised, pairs: Eigenpairs, mu: Array, group: list[int]) -> Array:
-    """Return solutions [y, nu] of the transposed equations as columns, (n_q + n_lam, k).
+    """Return left vectors [y, nu] of coinciding modes as columns, (n_q + n_lam, k).
 
-    Where they are not [x, mu], inverse iteration beside z, farther from it than the modes of the
-    group are from each other: at z the nearest of them would take the place of all.
+    They solve the transposed equations. With K or D asymmetric they come from inverse iteration at
+    a shift farther from z than the modes of the group are from each other: at z the nearest mode
+    would displace the rest of its group.
     """
     X, n = pairs.X[:, group], small.system.n_q
     if small.symmetric:
@@ -248,7 +249,7 @@ def left_vectors(small: Linearised, pairs: Eigenpairs, mu: Array, group: list[in
 def _values_b(
     small: Linearised, pairs: Eigenpairs, group: list[int], Y: Array, products: Array
 ) -> Array:
-    """Return z_b of a group from the products Y^T R_b, (n_b, g, g); shape (g, n_b)."""
+    """Return z_b of a group of g modes, shape (g, n_b), from products Y^T R_b, (n_b, g, g)."""
     z, g = pairs.z[group[0]], len(group)
     G = Y[: small.system.n_q].T @ small.slope_times(z, pairs.X[:, group])
     if g == 1:
@@ -262,9 +263,9 @@ def _values_b(
 
 
 def _is_defective(small: Linearised, z: complex, X: Array, Y: Array, G: Array) -> bool:
-    """Whether modes coincide in shape too, as at critical damping: they part like a root.
+    """Whether coinciding modes also share their shape, as at critical damping; z_b is infinite.
 
-    Y^T F' X is then singular: zero to the root of round-off, to which such eigenvalues are known.
+    Y^T F' X is then singular, to the root of round-off, the accuracy of such eigenvalues.
     """
     Y = np.abs(Y[: small.system.n_q])
     size = Y.T @ small.times(np.abs(small.slope(abs(z))), np.abs(X))
@@ -272,14 +273,14 @@ def _is_defective(small: Linearised, z: complex, X: Array, Y: Array, G: Array) -
 
 
 def _shape_b(small: Linearised, z: complex, x: Array, z_b: Array, R_b: Array) -> Array:
-    """Return x_b of a simple eigenvalue, shape (n_q, n_b)."""
+    """Return x_b of a simple eigenvalue by Nelson's method, shape (n_q, n_b)."""
     n = small.system.n_q
     k = int(largest_entries(small, x[:, None])[0])
     right = -R_b.astype(np.result_type(R_b, z_b))
     right[:n] -= np.outer(small.slope_times(z, x), z_b)
     right[k] = 0.0
     x_b = _held(small, z, k).solve(right)[:n]
-    # x^H M x = 1 with the entry that is the largest real: c is real.
+    # x^H M x = 1 and the largest entry of x is real, so c is real.
     Mx = small.times(small.M, x)
     change = np.real(np.conj(x) @ Totals(small).mass(x))
     shape_b: Array = x_b - np.outer(x, np.real(np.conj(Mx) @ x_b) + change / 2)
@@ -287,12 +288,12 @@ def _shape_b(small: Linearised, z: complex, x: Array, z_b: Array, R_b: Array) ->
 
 
 def _held(small: Linearised, z: complex, k: int) -> Factorization:
-    """Factorise F(z) with coordinate k held."""
+    """Return the factors of F(z) with Phi_q and coordinate k fixed."""
     system = small.system
     F, B = small.matrix(z).copy(), small.Phi_q.copy()
     rows, columns = system.pattern.rows, system.pattern.columns
     F[(rows == k) | (columns == k)] = 0.0
-    # Any number serves; one of the size of the others keeps the pivots alike.
+    # Any number will do; one as large as other entries gives pivots of similar size.
     F[system.pattern.index(np.array([k]), np.array([k]))] = small.size * system.weights[k]
     B[system.constraint_pattern.columns == k] = 0.0
     return small.saddle.factor(F, B)

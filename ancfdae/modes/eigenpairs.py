@@ -1,13 +1,13 @@
-"""Solutions of the eigenvalue problem with their round-off, and motions without stiffness.
+"""Eigenpairs with their round-off, and rigid motions (without stiffness).
 
 Rigid motions solve K r + Phi_q^T mu = 0, Phi_q r = 0. One step of inverse iteration at a shift
--sigma, written with what it takes away,
+-sigma, written as a correction,
 
     x - (K + sigma M)^-1 K x = sigma (K + sigma M)^-1 M x,
 
-leaves rigid motions as they are and of a shape with z the part sigma/(z + sigma). What is wrong
-with it is round-off of the part that goes, not of x: a wheel that turns freely keeps no part of the
-waves of the beam that carries it, beside which its own terms are nothing.
+leaves rigid motions unchanged and multiplies a shape with eigenvalue z by sigma/(z + sigma). The
+error of the step is round-off of the correction, not of x: a wheel that rotates freely has no
+component of waves in the beam that carries it, though the entries of K for the beam are far larger.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization
 
-# Motions searched for at first; multiplied by _MORE as long as all motions found are rigid.
+# Size of the first block of motions; multiplied by _MORE as long as all motions found are rigid.
 _FIRST, _MORE = 4, 4
 _SWEEPS, _CLEANED = 3, 3
-# Squares of the parts of a block that are more than round-off of others, and of motions that keep
-# their size.
+# Least squares of relative lengths: of independent columns of a block, beyond round-off, and of
+# motions that inverse iteration leaves unchanged.
 _DISTINCT, _KEPT = 1e-10, 0.5
 
 
@@ -49,7 +49,7 @@ def rigid_motions(small: Linearised) -> Array:
 
 
 def distinct(X: Array, weighted: Array) -> Array:
-    """Return a basis of columns, orthonormal in A, from A X; without round-off of the largest."""
+    """Return a basis of the columns of X, orthonormal in A, from A X; without round-off."""
     if not X.size:
         return X
     squares, V = np.linalg.eigh(X.T @ weighted)
@@ -58,7 +58,7 @@ def distinct(X: Array, weighted: Array) -> Array:
 
 
 def separated(small: Linearised, X: Array) -> tuple[Array, Array]:
-    """Return the rigid motions in the span of columns, and the rest; all orthonormal in M."""
+    """Return the rigid motions in the span of X and the remaining motions, orthonormal in M."""
     if not X.size:
         return X, X
     factors = _beside(small, ROUND_OFF * float(np.max(floor(small, X))))
@@ -71,9 +71,9 @@ def separated(small: Linearised, X: Array) -> tuple[Array, Array]:
 
 
 def with_zeros(small: Linearised, z: Array, X: Array, change: Array) -> tuple[Array, Array, Array]:
-    """Return modes of symmetric K, rigid motions first, without parts of others and with z = 0.
+    """Return modes of symmetric K, rigid motions first with z = 0, other modes free of them.
 
-    The change of z in the last sweep goes with them.
+    The changes of z in the last sweep are reordered alike; shapes are columns of X, (n_q, k).
     """
     soft = np.abs(z) <= ROUND_OFF * (floor(small, X) + EPS * np.max(np.abs(z)))
     if not np.any(soft):
@@ -89,7 +89,7 @@ def with_zeros(small: Linearised, z: Array, X: Array, change: Array) -> tuple[Ar
 def undamped_part(small: Linearised, rigid: Array) -> Array:
     """Return the rigid motions that meet no damping, (n_q, k), orthonormal in M.
 
-    With a symmetric D these are the rigid motions whose dissipated power is below its round-off,
+    With a symmetric D these are the rigid motions whose dissipated power is below its round-off:
     the power that strains of round-off size would dissipate.
     """
     assert small.D is not None
@@ -109,25 +109,28 @@ def undamped_part(small: Linearised, rigid: Array) -> Array:
 
 
 def floor(small: Linearised, X: Array) -> Array:
-    """Round-off of x^T K x for the columns of X, which have parts eps of the stiffest shapes."""
+    """Return the round-off of x^T K x for each column of X, shape (k,).
+
+    It includes stiffest shapes that the columns contain with a relative size of eps.
+    """
     return np.asarray(small.round_off(small.K, X) + ROUND_OFF * EPS**2 * small.size)
 
 
 def _soft(small: Linearised, X: Array) -> Array:
-    """Return the combinations without stiffness, to the round-off of all products."""
+    """Return the combinations of the columns of X without stiffness, to round-off."""
     _, sizes, Vt = np.linalg.svd(X.T @ small.times(small.K, X))
     X = X @ Vt.T
     return np.asarray(X[:, sizes <= ROUND_OFF * (floor(small, X) + EPS * sizes[0])])
 
 
 def _gram(small: Linearised, X: Array) -> tuple[Array, Array]:
-    """Eigenvalues and eigenvectors of X^T M X."""
+    """Return the eigenvalues and eigenvectors of X^T M X."""
     squares, V = np.linalg.eigh(X.T @ small.times(small.M, X))
     return squares, V
 
 
 def _beside(small: Linearised, shift: float) -> Factorization:
-    """Factorise K + sigma M, sigma no less than the shift."""
+    """Return the factors of K + sigma M with Phi_q for a regular sigma, at least `shift`."""
     while True:
         try:
             return small.saddle.factor(small.K + shift * small.M, small.Phi_q)
@@ -145,10 +148,11 @@ _MARGIN, _TINY = 4.0, float(np.finfo(float).tiny)
 @final
 @dataclass(frozen=True)
 class Eigenpairs:
-    """Solutions of F(z) x + Phi_q^T mu = 0, Phi_q x = 0, columns of X, with the round-off in z.
+    """Solutions of F(z) x + Phi_q^T mu = 0, Phi_q x = 0, with the round-off of z.
 
-    z is -s^2 without damping, s with it; exactly zero for rigid motions. x^H M x = 1, and the
-    largest entry of x is real and positive.
+    z, shape (k,), is -s^2 without damping and s with damping; exactly zero for rigid motions.
+    Shapes x are the columns of X, (n_q, k): x^H M x = 1, and the largest entry is real and
+    positive.
     """
 
     z: Array
@@ -156,18 +160,18 @@ class Eigenpairs:
     noise: Array
 
     def first(self, count: int) -> Eigenpairs:
-        """Return the first ones; those that coincide with the last of them too."""
+        """Return the first `count` pairs, and those that coincide with the last of them."""
         groups = coincident(self)
         stop = next(g[-1] + 1 for g in groups if g[-1] + 1 >= min(count, len(self.z)))
         return Eigenpairs(self.z[:stop], self.X[:, :stop], self.noise[:stop])
 
 
 def coincident(pairs: Eigenpairs) -> list[list[int]]:
-    """Group neighbours whose z are nearer than the root of their relative round-off.
+    """Return groups of indices of neighbours whose z coincide.
 
-    At a relative gap of g round-off e turns the shapes into each other by e/g: at g = sqrt(e)
-    they, and derivatives that take them for simple, have lost as much as those that take them
-    for one.
+    z coincide if they differ by less than the root of their relative round-off. At a relative gap g
+    round-off e mixes the shapes by e/g: at g = sqrt(e) shapes, and derivatives that take the modes
+    for simple, are as inaccurate as derivatives that take them for coinciding.
     """
     half = half_gap(pairs.z, pairs.noise)
     apart = np.abs(np.diff(pairs.z)) > half[:-1] + half[1:]
@@ -176,12 +180,12 @@ def coincident(pairs: Eigenpairs) -> list[list[int]]:
 
 
 def half_gap(z: Array, noise: Array) -> Array:
-    """Return half the distance up to which neighbours coincide, shape (n,)."""
+    """Return for each z half the distance up to which neighbours coincide, shape (n,)."""
     return np.asarray(np.sqrt(noise * np.maximum(np.abs(z), noise)))
 
 
 def finished(small: Linearised, z: Array, X: Array, noise: Array | None = None) -> Eigenpairs:
-    """Set values that are zero to round-off to zero, and normalise the shapes."""
+    """Return eigenpairs with normalised shapes, and z set to zero where it is round-off."""
     X = X / np.sqrt(small.squares(X))
     pivot = X[largest_entries(small, X), np.arange(X.shape[1])]
     X = X * (np.abs(pivot) / pivot)
@@ -191,22 +195,23 @@ def finished(small: Linearised, z: Array, X: Array, noise: Array | None = None) 
         z = np.where(np.abs(z.imag) <= ROUND_OFF * noise, z.real, z)
     else:
         z = np.where(np.abs(z.real) <= ROUND_OFF * noise, 1j * z.imag, z)
-        # A pair that coincides is a double real root: it creeps.
+        # A coinciding complex conjugate pair is a double real root: the mode decays.
         z = np.where(np.abs(z.imag) <= half_gap(z, noise), z.real, z)
     return Eigenpairs(z, X, noise)
 
 
 def largest_entries(small: Linearised, X: Array) -> Array:
-    """Return the number of the largest entry of each shape, in the norm of the weights.
+    """Return the index of the largest entry of each shape, in the norm of the weights, (k,).
 
-    The first of those that are nearly the largest: equal ones differ by round-off only.
+    Among entries within 1e-3 of the largest it is the first: equal entries differ by round-off
+    only.
     """
     size = np.abs(X) * np.sqrt(small.system.weights)[:, None]
     return np.asarray(np.argmax(size >= (1 - 1e-3) * np.max(size, axis=0), axis=0))
 
 
 def noise_of(small: Linearised, z: Array, X: Array) -> Array:
-    """Round-off in z: that of the terms of x^H F(z) x, over x^H F'(z) x."""
+    """Return the round-off of z: of the terms of x^H F(z) x, over |x^H F'(z) x|; shape (k,)."""
     X = X / np.sqrt(small.squares(X))
     size, noise = np.abs(z), floor(small, X)
     if small.D is None:
@@ -217,9 +222,9 @@ def noise_of(small: Linearised, z: Array, X: Array) -> Array:
 
 
 def likely_error(small: Linearised, pairs: Eigenpairs, change: Array) -> Array:
-    """Likely error of z: what the last sweep changed, and what another rounding of K does.
+    """Return the likely error of z, (k,), from the last sweep and from rounding K differently.
 
-    The round-off of pairs is a bound, hundreds of times as much where many terms are summed.
+    The round-off in `pairs` is a bound, hundreds of times larger where many terms are summed.
     """
     pattern = small.system.pattern
     signs = 2.0 * np.random.default_rng(4).integers(0, 2, pattern.size) - 1.0

@@ -1,8 +1,8 @@
-"""Lowest modes of symmetric pencils by Lanczos's method, and a count that none lacks.
+"""Lowest modes of symmetric pencils by Lanczos's method, with a count that proves none is missing.
 
-The inverse of F(shift) within the constraints maps every force to a motion that keeps them. Motions
-are rows here, orthonormal in M. Of modes that coincide a space holds one, and the others by
-round-off, which may come too late: the count shows whether one lacks.
+The inverse of F(shift) with the constraints maps every force to a motion that satisfies them. In
+this module motions are rows, orthonormal in M. Of coinciding modes a Krylov space contains one, and
+the others by round-off only, perhaps too late: the count shows whether one is missing.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from ancfdae.numerics.arrays import Array
 
 # First shift, relative to the largest entry of K: round-off leaves zero at 1e-16 of it.
 NEAR_ZERO = 1e-12
-# A pair theta, x has converged where |F^-1 M x - theta x| is this part of theta. _ENOUGH shows
-# whether a mode coincides with the last one asked for, from which it then differs by less than
-# _NEXT_TO. At most _EACH rows are kept for each mode, and _BESIDE more.
+# A pair theta, x has converged where |F^-1 M x - theta x| is below _CONVERGED |theta|. _ENOUGH
+# suffices to see whether a mode coincides with the last requested one, for relative differences
+# above _NEXT_TO. At most _EACH rows are stored for each mode, and _BESIDE more.
 _CONVERGED, _ENOUGH, _NEXT_TO, _EACH, _BESIDE = 1e-13, 1e-5, 0.01, 4, 120
-# The number of modes is counted at this part of the distance to the next one, if round-off may
-# move modes by _TRUSTED of that at most.
+# Modes are counted at this fraction of the distance from the last mode to the next, if round-off
+# changes z by a fraction _TRUSTED of this distance at most.
 BETWEEN, _TRUSTED = 0.25, 0.1
-# Motions of which less than this part is left beside the others are taken apart from them again.
+# A motion is orthogonalised again if less than this fraction of its length remained.
 _LEFT = 0.5
 
 
 @final
 class Lanczos:
-    """Ritz's values of F(shift)^-1 M in a space that grows; `count` are sought.
+    """Ritz values of F(shift)^-1 M in a growing Krylov space, of which `count` are sought.
 
-    The space is orthogonal in M to known motions, columns. Without a shift it belongs to M^-1 K,
-    whose largest values are the highest z.
+    The space is orthogonal in M to known motions, given as columns. Without a shift the matrix is
+    M^-1 K, whose largest values are the highest z.
     """
 
     def __init__(
@@ -52,19 +52,19 @@ class Lanczos:
         self._V, self._MV = np.empty((2, self._most, n))
         self._T, self._m = np.zeros((self._most, self._most)), 0
         root = np.sqrt(small.system.weights)
-        # A start of its own: the last one has no part left in copies of the modes it found.
+        # A new start: an earlier one has no component in further copies of the modes it found.
         push = np.random.default_rng(1 + len(self._known)).standard_normal(n) * root
         self._next = self._solved(push)
         self._left = self._size(self._next)
 
     def converge(self, asked: int) -> bool:
-        """Extend the space until the values asked for have converged, and all others roughly."""
+        """Extend the space until `asked` values converge, others roughly; whether they do."""
         look = min(2 * self._count + 2, self._most)
         while self._m < self._most:
             self._extend()
             if self._m < look:
                 continue
-            # Values of a large space are not looked at in every step.
+            # The Ritz values of a large space are not computed in every step.
             look = min(self._m + max(2, self._m // 8), self._most)
             theta, S = np.linalg.eigh(self._T[: self._m, : self._m])
             order = np.argsort(-theta if self.shift is None else -np.abs(theta))
@@ -80,17 +80,17 @@ class Lanczos:
 
     @property
     def z(self) -> Array:
-        """Values that are sought and the next one, from the shift away, shape (count + 1,)."""
+        """Sought eigenvalues z and the next one, by distance from the shift, shape (count + 1,)."""
         theta = self._theta[: self._count + 1]
         return np.asarray(theta if self.shift is None else self.shift + 1.0 / theta)
 
     @property
     def X(self) -> Array:
-        """Shapes in the same order without the next one, as columns, shape (n_q, count)."""
+        """Shapes of the `count` sought eigenvalues z, as columns, shape (n_q, count)."""
         return np.asarray((self._S[:, : self._count].T @ self._V[: self._m]).T)
 
     def _extend(self) -> None:
-        """Add a motion to the space."""
+        """Extend the Krylov space by one motion."""
         m, self._m = self._m, self._m + 1
         self._V[m], self._MV[m] = self._normal(m)
         K, far = self._small.K, self.shift is None
@@ -101,7 +101,7 @@ class Lanczos:
         self._left = self._size(self._next)
 
     def _normal(self, m: int) -> tuple[Array, Array]:
-        """Return the next motion x of unit length, orthogonal to the first m, and M x."""
+        """Return the next motion x of unit length, orthogonal to the first m motions, and M x."""
         x, before = self._next, self._left
         for _ in range(3):
             x = x - (self._MV[:m] @ x) @ self._V[:m]
@@ -109,7 +109,7 @@ class Lanczos:
                 x = x - (self._M_known @ x) @ self._known
             Mx = self._small.times(self._small.M, x)
             size = float(np.sqrt(x @ Mx))
-            # What is left of a motion that depends on the others is round-off, a motion like any.
+            # The remainder of a dependent motion is round-off, as good a motion as any.
             x, Mx = x / size, Mx / size
             if size >= _LEFT * before:
                 break
@@ -120,7 +120,7 @@ class Lanczos:
         return float(np.sqrt(x @ self._small.times(self._small.M, x)))
 
     def _solved(self, force: Array) -> Array:
-        """Return the motion, (n_q,), for a force; stiff bodies round its constraints."""
+        """Return F(shift)^-1 times a force, (n_q,); its constraint error may exceed round-off."""
         right = np.zeros(self._small.saddle.size)
         right[: len(force)] = force
         return self.factors.solve_roughly(right)[: len(force)]
@@ -129,17 +129,17 @@ class Lanczos:
 def lowest(small: Linearised, count: int, asked: int) -> tuple[Array, Array, Array] | None:
     """Return the lowest z = -s^2 of a symmetric pencil, increasing, shapes, and errors left in z.
 
-    None unless all motions meet a stiffness, the modes have converged, the first that are `asked`
-    for and any that coincide with them to all digits, and a count of negative eigenvalues shows
-    that none of these lacks.
+    None unless no motion is rigid; the first `asked` modes, and all that coincide with them, have
+    converged to all digits; and a count of negative eigenvalues shows that none of these is
+    missing.
     """
     near = NEAR_ZERO * small.size
     space = Lanczos(small, -near, count)
-    # Beside motions without stiffness the others would have no digits.
+    # Beside rigid motions the other modes would lose all digits.
     if not space.converge(0) or np.min(space.z) <= near or not space.converge(asked):
         return None
     z, X = space.z, space.X
-    # The widest gap behind those asked for: a group of modes that coincide is not cut.
+    # The widest gap after the requested modes: a group of coinciding modes is not split.
     known = asked + int(np.argmax(np.diff(z[asked - 1 :]) / np.abs(z[asked:])))
     if not all_below(small, z[known - 1], z[known], X[:, :known]):
         return None
@@ -148,7 +148,10 @@ def lowest(small: Linearised, count: int, asked: int) -> tuple[Array, Array, Arr
 
 
 def all_below(small: Linearised, last: float, beyond: float, X: Array) -> bool:
-    """Whether as many z as there are columns in X lie between the last one and the next."""
+    """Whether X has as many columns as there are modes with z below a cut after `last`.
+
+    The cut lies between z = `last` and the next z, `beyond`; False, too, if round-off hides it.
+    """
     z = last + BETWEEN * (beyond - last)
     count = Count(small, z)
     return count.number == X.shape[1] and count.is_certain(X, z - last)
@@ -156,7 +159,7 @@ def all_below(small: Linearised, last: float, beyond: float, X: Array) -> bool:
 
 @final
 class Count:
-    """The number of modes below a z, or above it; no fewer than there are.
+    """Number of modes below z, or above z; no fewer than there are.
 
     By Sylvester's law of inertia K - z M has a negative eigenvalue for each mode below z.
     """
@@ -172,17 +175,17 @@ class Count:
 
     @property
     def fails(self) -> bool:
-        """Whether pivots vanish, which proves nothing."""
+        """Whether pivots vanish, so that the count proves nothing."""
         return not np.isfinite(self._growth)
 
     def is_certain(self, X: Array, distance: float) -> bool:
-        """Whether round-off moves motions, columns of X, by less than part of a distance of z."""
+        """Whether round-off changes z of the motions X, columns, by far less than a distance."""
         size = np.max(np.einsum("ij,i,ij->j", X, self._D, X), initial=0.0)
         return bool(EPS * self._growth * size <= _TRUSTED * distance)
 
 
 def ritz(small: Linearised, Z: Array) -> tuple[Array, Array] | None:
-    """Return the values and shapes of a symmetric pencil in the span of motions, increasing."""
+    """Return values and shapes of a symmetric pencil in the span of the columns Z, increasing."""
     Z = Z / np.sqrt(small.squares(Z))
     K, M = (Z.T @ small.times(values, Z) for values in (small.K, small.M))
     # LAPACK itself: `eigh` takes four times as long for a few shapes.

@@ -1,4 +1,4 @@
-"""Small motions about a configuration at rest, which has design derivatives.
+"""Small motions about a static configuration, which has design derivatives.
 
     M x'' + D x' + K x + Phi_q^T mu = 0,     Phi_q x = 0,
     K = -Q_q + (Phi_q^T lam)_q,     D = -Q_v     at v = 0
@@ -31,7 +31,7 @@ from ancfdae.statics.balance import Balance
 @final
 @dataclass(frozen=True)
 class LinearisationPoint:
-    """Coordinates and multipliers at rest.
+    """Coordinates and multipliers of a static configuration.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class LinearisationPoint:
     t : float
         Time at which prescribed motions are evaluated; s.
     v : array, shape (n_q,), or None
-        Velocities there, which must be small; None for rest.
+        Velocities of this configuration, which must be small; None for zero velocity.
     """
 
     q: Array
@@ -60,18 +60,18 @@ class LinearisationPoint:
 
     @staticmethod
     def of(solution: Solution, instant: int = -1) -> LinearisationPoint:
-        """Return an instant of a run, with its derivatives if the run has them.
+        """Return the configuration at one time of a solution, with its derivatives if it has them.
 
         Parameters
         ----------
         solution : Solution
         instant : int
-            Its number; the last by default.
+            Index of the time; the last by default.
 
         Raises
         ------
         InvalidInputError
-            If the run has fewer than `instant` + 1 states.
+            If the solution has fewer than `instant` + 1 states.
         """
         count = len(solution.t)
         if not -count <= instant < count:
@@ -101,8 +101,8 @@ class LinearisationPoint:
 
 
 EPS = float(np.finfo(float).eps)
-# Operations that an entry of K and a product with it go through, with a margin: what is below
-# this many units of round-off of its own terms is taken for zero.
+# Number of operations in an entry of K and a product with it, with a margin: a value below this
+# many units of round-off of its terms counts as zero.
 ROUND_OFF = 64
 
 
@@ -111,7 +111,8 @@ ROUND_OFF = 64
 class Linearised:
     """Matrices of small motions as values on the system's patterns; D is None without damping.
 
-    q_b, (n_q, n_b), and lam_b, (n_lam, n_b), are the design derivatives of the configuration.
+    M, D and K have shape (nnz,). q_b, (n_q, n_b), and lam_b, (n_lam, n_b), are the design
+    derivatives of the configuration `at`.
     """
 
     system: MechanicalSystem
@@ -133,10 +134,10 @@ class Linearised:
         saddle: SaddlePoint | None = None,
         mass: Factorization | None = None,
     ) -> Linearised:
-        """Linearise about a configuration; velocity forces count by default if there are any.
+        """Return a system linearised about a configuration; by default with any damping.
 
-        `mass` is the mass there with the constraints, factorised, if it is at hand. Saddle-point
-        matrices that are not given are made; RedundantConstraintsError if Phi_q has dependent rows.
+        `mass` is the factorised mass matrix with the constraints at `at`, if known. `saddle` is
+        built if not given; RedundantConstraintsError if Phi_q has dependent rows.
 
         InvalidInputError if the configuration does not fit the system or a matrix is not finite.
         """
@@ -146,11 +147,11 @@ class Linearised:
         _refuse_motion(system, at)
         rest = np.zeros((1, system.n_q))
         states = at.q[None], rest, rest, at.lam[None]
-        # What is not finite is refused below, not warned about.
+        # Infinite values are rejected below, without a warning.
         with np.errstate(all="ignore"):
             linearisation = system.linearise(np.array([at.t]), *states)
         D = None if linearisation.f_v is None or damped is False else linearisation.f_v[0]
-        # One that vanishes at this design has derivatives.
+        # A D that vanishes at this design may have design derivatives.
         if D is not None and not np.any(D) and not damped and not system.n_b:
             D = None
         matrices = (linearisation.M[0], linearisation.f_q[0], linearisation.Phi_q[0])
@@ -167,17 +168,17 @@ class Linearised:
         return Linearised(system, at, q_b, lam_b, matrices[0], D, *matrices[1:], saddle, mass)
 
     def words(self, scene: str, other: str) -> str:
-        """Return advice for a scene of bodies, or for a system of a user, which has no elements."""
+        """Return the advice `scene`, or `other` for a user's system, which has no elements."""
         return other if self.system.naming is None else scene
 
     @property
     def n_free(self) -> int:
-        """Number of independent motions."""
+        """Number of independent motions, n_q - n_lam."""
         return self.system.n_q - self.system.n_lam
 
     @property
     def n_modes(self) -> int:
-        """Most modes there are: motions that only decay come in twos."""
+        """Largest number of modes: `n_free`, or twice as many with damping."""
         return self.n_free if self.D is None else 2 * self.n_free
 
     @cached_property
@@ -188,7 +189,7 @@ class Linearised:
         return all(self.is_symmetric(x) for x in (self.K, self.D) if x is not None)
 
     def is_symmetric(self, values: Array, sign: float = 1.0) -> bool:
-        """Whether a matrix is symmetric to round-off; with the sign -1, skew."""
+        """Whether a matrix is symmetric to round-off; with sign -1, skew-symmetric."""
         pattern, root = self.system.pattern, np.sqrt(self.system.weights)
         scaled = pattern.csr(values / (root[pattern.rows] * root[pattern.columns]))
         skew = abs(scaled - sign * scaled.T)
@@ -207,25 +208,26 @@ class Linearised:
         return -self.M if self.D is None else 2 * z * self.M + self.D
 
     def slope_times(self, z: complex, x: Array) -> Array:
-        """Return F'(z) x for a vector or columns."""
+        """Return F'(z) x for a vector x or columns."""
         return self.times(self.slope(z), x)
 
     def times(self, values: Array, x: Array) -> Array:
-        """Product of M, D or K with a vector or columns."""
+        """Return the product of M, D or K, given by its values, with a vector or columns."""
         return self.system.pattern.dot(values, x)
 
     def works(self, X: Array, on_K: float, on_D: float) -> Array:
-        """Return X^T (a K + b D) X of real columns from forces, reactions left out, (k, k).
+        """Return X^T (a K + b D) X, (k, k), for real X from forces, without reactions.
 
-        Rates of strain cancel before they meet a stiffness: motions that strain nothing leave the
-        square of round-off, where products with matrices leave round-off.
+        a and b are `on_K` and `on_D`. Strains cancel before they are multiplied by a stiffness:
+        motions without strain leave the square of round-off, where products with matrices leave
+        round-off.
         """
         q, t = self.at.q, self.at.t
         rates = [self.system.force(t, q + 1j * STEP * on_K * x, 1j * STEP * on_D * x) for x in X.T]
         return -X.T @ np.imag(np.stack(rates, axis=1)) / STEP
 
     def squares(self, X: Array) -> Array:
-        """Return x^H M x of the columns of X."""
+        """Return x^H M x of each column of X, shape (k,)."""
         squares: Array = np.real(np.einsum("ij,ij->j", np.conj(X), self.times(self.M, X)))
         return squares
 
@@ -233,13 +235,13 @@ class Linearised:
 
     @cached_property
     def mass_factors(self) -> Factorization:
-        """The mass with the constraints, factorised."""
+        """Factors of the mass matrix with the constraints."""
         return self.mass or self.saddle.factor(self.M, self.Phi_q)
 
     def factor_beside(self, z: complex) -> tuple[Factorization, bool]:
-        """Factorise F(z) for inverse iteration; beside z if it is singular to the last bit.
+        """Return the factors of F(z) for inverse iteration, and whether F(z) was singular.
 
-        Tells whether z is such a z.
+        A singular F(z) is factorised with its diagonal changed by round-off.
         """
         F = self.matrix(z)
         try:
@@ -251,7 +253,7 @@ class Linearised:
 
     @cached_property
     def size(self) -> float:
-        """Largest entry of K in the norm of the weights."""
+        """Largest entry of K in the norm of the weights; 1 if K is zero."""
         return self.largest(self.K) or 1.0
 
     def largest(self, values: Array) -> float:
@@ -260,14 +262,14 @@ class Linearised:
         return float(np.max(np.abs(values) / (root[pattern.rows] * root[pattern.columns])))
 
     def solve(self, factors: Factorization, force: Array) -> Array:
-        """Return x of a saddle-point solve that keeps Phi_q x = 0; vector or columns."""
+        """Return x of a saddle-point equation with Phi_q x = 0 for a force; vector or columns."""
         n, none = len(force), np.zeros((self.system.n_lam, *force.shape[1:]))
         return self.constrained(factors, factors.solve(np.concatenate([force, none]))[:n])
 
     def constrained(self, factors: Factorization, x: Array) -> Array:
-        """Return motions, as x, without the violation of constraints that round-off has left.
+        """Return the motions x without the constraint violation that round-off has left.
 
-        Forces of stiff bodies round more than the constraints.
+        Forces of stiff bodies have more round-off than constraints.
         """
         n = len(x)
         pattern, scale = self.system.constraint_pattern, self.saddle.scale[n:]
@@ -279,7 +281,7 @@ class Linearised:
         return np.asarray(x - factors.solve(np.concatenate([0 * x, left]))[:n])
 
     def multipliers(self, z: Array, X: Array) -> Array:
-        """Return mu of F(z) x + Phi_q^T mu = 0 for modes, the columns of X."""
+        """Return mu of F(z) x + Phi_q^T mu = 0 for modes, the columns of X; (n_lam, k)."""
         force = np.zeros(X.shape, dtype=np.result_type(X, z))
         for j, value in enumerate(z):
             force[:, j] = -self.times(self.matrix(value), X[:, j])
@@ -289,13 +291,13 @@ class Linearised:
     # -- sizes of round-off --------------------------------------------------------------------
 
     def round_off(self, values: Array, X: Array) -> Array:
-        """Round-off of x^T K x for the columns of X: eps |x|^T |K| |x|."""
+        """Return eps |x|^T |K| |x|, the round-off of x^T K x, for each column of X, (k,)."""
         size = np.abs(X)
         return np.asarray(EPS * np.einsum("ij,ij->j", size, self.times(np.abs(values), size)))
 
     @cached_property
     def unbalanced(self) -> float:
-        """Size of Q - Phi_q^T lam relative to its parts; zero in an equilibrium."""
+        """Norm of the force Q - Phi_q^T lam over that of its terms; zero in an equilibrium."""
         system, at = self.system, self.at
         Q = system.force(at.t, at.q, np.zeros(system.n_q))
         held = reaction(system, at.t, at.q, at.lam)
@@ -306,12 +308,12 @@ class Linearised:
         return left / (norm(Q, inverse) + norm(held, inverse))
 
 
-# Forces that turning needs, relative to all forces, up to which a state counts as one at rest.
+# Largest centrifugal force, relative to all forces, of a state that counts as static.
 _AT_REST = 1e-6
 
 
 def _refuse_motion(system: MechanicalSystem, at: LinearisationPoint) -> None:
-    """Refuse a state that turns: M v^2/|q| is a force there, and its change a stiffness."""
+    """Reject a rotating state: its centrifugal force M v^2/|q| adds a stiffness."""
     if at.v is None or not np.any(at.v):
         return
     inverse = 1 / system.weights
@@ -331,7 +333,7 @@ def _refuse_motion(system: MechanicalSystem, at: LinearisationPoint) -> None:
 
 
 def split(linear: Callable[[Array], Array], x: Array) -> Array:
-    """Apply a function that is linear over the real numbers to a complex vector."""
+    """Return the value of a function, linear over the real numbers, at a complex vector."""
     if x.dtype.kind != "c":
         return linear(x)
     return linear(x.real) + 1j * linear(x.imag)

@@ -1,4 +1,4 @@
-"""Periods of small motions, from which a step follows."""
+"""Periods of small motions, and a step suggested from them."""
 
 from dataclasses import dataclass, replace
 from typing import final
@@ -18,14 +18,14 @@ from ancfdae.numerics.threads import in_one_thread
 @final
 @dataclass(frozen=True)
 class StepSuggestion:
-    """A step and the periods it comes from; made by `suggest_step`.
+    """A suggested step and the periods that it comes from; returned by `suggest_step`.
 
     Attributes
     ----------
     step : float
         Suggested step, `resolved` / `per_period`; s.
     fastest, slowest : float
-        Shortest and longest period, 2 pi / |s|, of motions that vibrate or grow.
+        Shortest and longest period, 2 pi / |s|, of motions that vibrate or grow; s.
     resolved : float
         Period of the fastest mode that the step resolves; s.
     per_period : float
@@ -48,7 +48,7 @@ class StepSuggestion:
 def suggestion(
     system: MechanicalSystem, at: LinearisationPoint, per_period: float, follow: int | None
 ) -> StepSuggestion:
-    """Return a step that follows the slowest `follow` motions, or all; see `suggest_step`."""
+    """Return a step that follows the `follow` slowest motions, or all; see `suggest_step`."""
     small = Linearised.of(system, at, False)
     turning = _turning(small, 1 if follow is None else follow)
     slow = 2 * np.pi / _speeds(small, 1 if follow is None else follow, False, turning)
@@ -60,9 +60,10 @@ def suggestion(
 
 
 def fastest(system: MechanicalSystem, at: LinearisationPoint) -> float:
-    """Return the largest |s| of small motions x e^{st}, or one near it with damping; 1/s.
+    """Return the largest |s| of small motions x e^{st}, estimated if damped; 1/s.
 
-    Of the fastest undamped motion x, s^2 + (x^T D x) s + omega^2 = 0.
+    With damping it is the larger |s| of s^2 + (x^T D x) s + omega^2 = 0 for the fastest undamped
+    motion x.
     """
     small = Linearised.of(system, at, None)
     pairs = solve(replace(small, D=None), 1, True)
@@ -73,17 +74,17 @@ def fastest(system: MechanicalSystem, at: LinearisationPoint) -> float:
     return half + float(np.sqrt(half**2 - speed**2)) if half > speed else speed
 
 
-# Coordinates up to which all modes take a fraction of a second by dense methods.
+# Largest number of coordinates for which dense methods find all modes in a fraction of a second.
 _QUICK = 120
 _CURED_BY_STEP = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.STEP_LIMIT)
 
 
 @in_one_thread
 def advice(system: MechanicalSystem, t: float, q: Array, lam: Array) -> str:
-    """Return the periods of small motions about a state as text; empty if there are none.
+    """Return advice on the step: periods of small motions about a state; empty without any.
 
-    Systems of more than _QUICK coordinates get an empty text: a message must not take longer than
-    the run that it ends.
+    The text is empty for systems of more than _QUICK coordinates, too: a message must not take
+    longer than the run that ends with it.
     """
     if system.n_q > _QUICK:
         return ""
@@ -99,22 +100,22 @@ def advice(system: MechanicalSystem, t: float, q: Array, lam: Array) -> str:
 
 
 def advised(system: MechanicalSystem, run: Solution) -> Solution:
-    """Add the periods of small motions to the outcome of a run that another step may cure."""
+    """Return a run with periods of small motions in its outcome if another step may help."""
     outcome = run.outcome
     if outcome.verdict not in _CURED_BY_STEP or not len(run.t) or np.iscomplexobj(run.q):
         return run
     periods = advice(system, float(run.t[-1]), run.q[-1], run.lam[-1])
-    if not periods or periods in outcome.advice:  # as of a run that did not go on
+    if not periods or periods in outcome.advice:  # as in a run that failed in its first step
         return run
     return replace(run, outcome=replace(outcome, advice=f"{outcome.advice} {periods}".lstrip()))
 
 
 def _turning(small: Linearised, follow: int) -> float:
-    """Return the rate at which forces out of balance turn the slow motions that they drive; 1/s.
+    """Return the rotation rate of slow motions driven by unbalanced forces; 1/s.
 
-    Of an acceleration a from rest, Phi_q a' = -Phi_qq[a, a] is what the joints add as it goes on:
-    a^2/l of a pendulum of length l, so that |a'|/|a| is the square of its rate, g/l where it is
-    level and has no stiffness. Zero in an equilibrium and where all joints are linear.
+    For an acceleration a from zero velocity the joints add a' with Phi_q a' = -Phi_qq[a, a]: a^2/l
+    for a pendulum of length l, so |a'|/|a| is the square of the rate, g/l for a horizontal
+    pendulum, which has no stiffness. Zero in an equilibrium and where all joints are linear.
     """
     system, at = small.system, small.at
     if small.unbalanced == 0 or not system.n_lam:
@@ -125,7 +126,7 @@ def _turning(small: Linearised, follow: int) -> float:
     size = float(small.squares(a[:, None])[0]) ** 0.5
     if size == 0:
         return 0.0
-    # A unit of a, so that neither its size nor that of q matters.
+    # With a of unit length neither its size nor that of q matters.
     a = a / size
     slope = np.imag(system.constraint_q(at.t, at.q + 1j * STEP * a)) / STEP
     turned = system.constraint_pattern.dot(slope, a)
@@ -134,9 +135,9 @@ def _turning(small: Linearised, follow: int) -> float:
 
 
 def _speeds(small: Linearised, count: int, highest: bool, turning: float) -> Array:
-    """Return |s| of the given number of motions that are not rigid, in increasing order.
+    """Return |s| of the given number of motions that are not rigid, in increasing order; 1/s.
 
-    None is less than the rate at which forces out of balance turn the motion.
+    No value is less than `turning`, the rotation rate due to unbalanced forces.
     """
     asked = count
     while True:

@@ -1,16 +1,16 @@
-"""Lowest modes of thin bodies, whose K as a matrix has lost them.
+"""Lowest modes of thin bodies, which round-off of the matrix K hides.
 
-An entry of K is a sum of axial and shear stiffness; of bending (h/L)^2 of it is left, and n
-elements leave 1/n^2 of that: x^T K x rounds to eps |x|^T |K| |x|, of the size of z itself at
-h/L = 1e-6. Element by element, K x is the force of strains, in which what turns rigidly cancels
-before it meets a stiffness: right to eps (l/h)^2, l the length of an element, which 8 elements
-make 4,096 times less. Coordinates, too, are too coarse: nodes that round to eps |q| leave an axial
-force of eps EA. Where forces are in balance to round-off, what Newton's method would add below the
-last digit takes it out (as in `statics.equilibrium`).
+An entry of K is a sum of axial and shear stiffness; the bending stiffness that remains of it is
+(h/L)^2 times that, with n elements 1/n^2 of this: x^T K x has a round-off of eps |x|^T |K| |x|, as
+large as z itself at h/L = 1e-6. Computed element by element, K x is the force of strains, in which
+rigid rotation cancels before it is multiplied by a stiffness: accurate to eps (l/h)^2, l the length
+of an element, which for 8 elements is 4,096 times less. Coordinates, too, are rounded: nodes with
+an error of eps |q| have an axial force of eps EA. Where forces are in equilibrium to round-off, the
+Newton correction below the last digit of q removes this force (as in `statics.equilibrium`).
 
-Inverse iteration on a block finds the modes: such products give its residual, the factorised
-matrix turns it into a correction, and Ritz's method gives the values. Their round-off is estimated
-by another rounding of coordinates and shapes.
+The modes come from inverse iteration on a block: these products give its residual, the factorised
+matrix turns the residual into a correction, and Ritz's method gives the values. Their round-off is
+estimated by rounding coordinates and shapes differently.
 """
 
 from dataclasses import dataclass, replace
@@ -29,23 +29,26 @@ from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_solvers import Factorization
 from ancfdae.statics.balance import Balance
 
-# Round-off of z, twice that of a frequency, above which products with the matrix do not do, and
-# above which modes are rejected. The bound that decides on products is 50 times what it bounds.
+# Relative round-off of z, twice that of a frequency, above which products with the matrix are not
+# accurate enough, and above which modes are rejected. The bound compared with it is 50 times
+# larger.
 ALLOWED = 2e-6
-# Vectors beside those asked for; with them a sweep gains a digit or more in a beam.
+# Number of additional vectors, with which a sweep gains a digit or more in a beam; and sweeps.
 _GUARDS, _SWEEPS = 8, 60
-# Sweeps end where values change by less of themselves, or of what the matrix would round them by.
+# Sweeps end where values change by less than this, relative to the value plus the round-off of
+# products with the matrix.
 _SETTLED = 1e-7
-# As in `statics.softness`: a shift, and the part of the stiffest that counts where D is less.
+# Shift, and least entry of D relative to the largest (both as in `statics.softness`).
 _SHIFT, _TRACE = 1e-14, 1e-8
-# What is stiff: axial forces, 1/n^2 of the diagonal, and neither bending nor rigid motions.
+# Shift below the axial stiffness, 1/n^2 of the diagonal, and above bending and rigid motions.
 _STIFF = 1e-10
-# Rigid motions searched for at first; their number is multiplied by _MORE as long as all motions
-# found are rigid; and sweeps.
+# Size of the first block in the search of rigid motions, multiplied by _MORE as long as all motions
+# found are rigid; and number of sweeps.
 _FIRST, _MORE, _CLEANED = 8, 4, 3
-# Round-off is estimated as _MARGIN times the largest change under _ROUNDINGS other roundings.
+# Round-off is estimated as _MARGIN times the largest change when rounded differently _ROUNDINGS
+# times.
 _MARGIN, _ROUNDINGS = 4.0, 3
-# As in `statics.equilibrium`.
+# Factor on a correction of q before differences are taken, as in `statics.equilibrium`.
 _MAGNIFIED = 2.0**17
 
 _TOO_THIN = (
@@ -63,13 +66,16 @@ Modes: TypeAlias = tuple[Array, Array, Array]
 
 @final
 class NoModes(AncfdaeError):
-    """Modes that did not converge, or that round-off has taken."""
+    """Modes did not converge, or round-off makes them too inaccurate."""
 
 
 @final
 @dataclass(frozen=True)
 class Precise:
-    """K about coordinates q, applied element by element."""
+    """Products K X of the stiffness at coordinates q, computed element by element.
+
+    `stiff` are the factors of K + shift |diag K| that give corrections of q.
+    """
 
     small: Linearised
     q: Array
@@ -79,9 +85,9 @@ class Precise:
     def _beyond(self) -> tuple[Array, Array]:
         """Corrections of q and lam below the last digit of q, by one step of Newton's method.
 
-        The forces that they balance are those left over in an equilibrium; out of balance those of
-        stresses that the rounding of a body free of stress leaves, less their reactions. Zero where
-        bodies carry other stresses out of balance: those cannot be told from round-off.
+        They cancel, in an equilibrium, the residual forces; otherwise the forces of stresses due to
+        rounding of a body free of stress, less their reactions. They are zero where bodies carry
+        other stresses out of equilibrium: such stresses cannot be told from round-off.
         """
         system, at, none = self.small.system, self.small.at, np.zeros(self.small.system.n_lam)
         Q = system.force(at.t, self.q, 0 * self.q)
@@ -92,13 +98,13 @@ class Precise:
             blur = self.small.times(np.abs(self.small.K), np.abs(self.q))
             if not np.all(np.abs(R) <= ROUND_OFF * EPS * blur):
                 return 0 * self.q, none
-            # The reactions that multipliers of the configuration hold for these forces.
+            # The reactions in the multipliers of the configuration that carry these forces.
             at_q = system.stress_force(at.q)
             R = R - reaction(system, at.t, self.q, solve(self.small.mass_factors, at_q, none)[1])
         return solve(self.stiff, R, none)
 
     def times(self, X: Array) -> Array:
-        """Return K X for real columns."""
+        """Return K X for real columns X, (n_q, k)."""
         if not X.size:
             return X
         system, at = self.small.system, self.small.at
@@ -117,21 +123,21 @@ class Precise:
         return np.stack(rates, axis=1) / STEP
 
     def left(self, X: Array, z: Array) -> Array:
-        """Return M X z - K X."""
+        """Return the residuals M X z - K X of modes, (n_q, k)."""
         return self.small.times(self.small.M, X) * z - self.times(X)
 
 
 def precise_modes(small: Linearised, X: Array) -> Modes:
-    """Return as many of the lowest modes of a symmetric pencil as there are columns in X.
+    """Return the lowest modes of a symmetric pencil, as many as X has columns.
 
-    Inverse iteration on a block: x - P^-1 (K x - z M x) is z K^-1 M x where P is K. Beside rigid
-    motions, which P makes the largest, all others would be round-off: they are found first, and
-    the block has no part of them.
+    Inverse iteration on a block from the guess X: x - P^-1 (K x - z M x) is z K^-1 M x where P is
+    K. Beside rigid motions, which P makes the largest, other motions would be round-off: rigid
+    motions are computed first, and the block is orthogonal to them.
 
     Raises
     ------
     NoModes
-        If they do not converge.
+        If the modes do not converge.
     """
     count = X.shape[1]
     precise = Precise(small, small.at.q, _factors(small, _shifted(small, _STIFF)))
@@ -148,16 +154,17 @@ def precise_modes(small: Linearised, X: Array) -> Modes:
 
 
 def _rigid_motions(precise: Precise, factors: Factorization) -> Array:
-    """Return all of them, orthonormal in M; `factors` are those of P = K + shift D, D = |diag K|.
+    """Return all rigid motions, (n_q, k), orthonormal in M.
 
-    The block grows until it contains a motion stiffer than shift D: all that are softer, rigid or
-    not, keep their size, and Ritz's method tells them apart only where all of them are in it.
+    `factors` are those of P = K + shift D, D = |diag K|. The block grows until it contains a motion
+    stiffer than shift D: all softer motions, rigid or not, keep their size, and Ritz's method
+    separates them only in a block that contains every one.
 
-    x - P^-1 K x leaves them as they are, and of others what shift D is of P. In the norm of D a
-    spin about the axis of a thin body counts as much as a translation.
+    x - P^-1 K x leaves rigid motions unchanged, and multiplies others by the ratio of shift D to P.
+    In the norm of D a rotation about the axis of a thin body counts as much as a translation.
 
-    Bending may be as soft as shift D. It has a stiffness that is not round-off of products, nor
-    that of parts eps of itself and of the stiffest shapes.
+    Bending may be as soft as shift D. Its stiffness exceeds the round-off of products, and that of
+    components eps of itself and of the stiffest shapes.
     """
     small, count, random = precise.small, _FIRST, np.random.default_rng(3)
     root = np.sqrt(_stiffness(small))[:, None]
@@ -183,13 +190,13 @@ def _rigid_motions(precise: Precise, factors: Factorization) -> Array:
 
 
 def _basis(X: Array) -> Array:
-    """Return an orthonormal basis of columns, of every part that is more than their round-off."""
+    """Return an orthonormal basis of the columns of X without components of round-off size."""
     U, sizes, _ = np.linalg.svd(X / np.linalg.norm(X, axis=0), full_matrices=False)
     return np.asarray(U[:, sizes > ROUND_OFF * EPS * sizes[0]])
 
 
 def _elastic_modes(precise: Precise, factors: Factorization, R: Array, X: Array) -> Modes:
-    """Modes beside rigid motions R, from a guess X of all of them."""
+    """Return modes other than the rigid motions R, from a guess X of all modes."""
     small, count = precise.small, X.shape[1] - R.shape[1]
     inertia = small.times(small.M, R)
 
@@ -210,30 +217,30 @@ def _elastic_modes(precise: Precise, factors: Factorization, R: Array, X: Array)
         sizes = np.abs(last) + small.round_off(small.K, X[:, :count])
         if np.all(change <= _SETTLED * sizes):
             z, X = z[:count], X[:, :count]
-            # What is wrong with R is in X, too: a part c / z of R, which moves z by c^2 / z.
+            # An error of R is in X, too: a component c / z of R, which changes z by c^2 / z.
             mixed = np.sum((R.T @ precise.times(X)) ** 2, axis=0) / np.abs(z)
             return z, X, np.maximum(_noise(precise, X, z), change) + mixed
     raise NoModes(small.words(_TOO_THIN, _TOO_STIFF))
 
 
 def _without(R: Array, inertia: Array, X: Array) -> Array:
-    """Return columns without their parts of orthonormal ones; twice, for the round-off of large."""
+    """Return X without its components in orthonormal columns R; twice, for small remainders."""
     for _ in range(2):
         X = X - R @ (inertia.T @ X)
     return X
 
 
 def _stiffness(small: Linearised) -> Array:
-    """Return D = |diag K|, and at least a trace of the stiffest by weight.
+    """Return D = |diag K|, with a small least value per unit of weight, shape (n_q,).
 
-    It serves as the shift of all motions at once: one that D leaves out would stay singular.
+    D serves as the shift of all motions: a motion with zero entries in D would stay singular.
     """
     w, D = small.system.weights, np.abs(small.K[small.system.pattern.diagonal])
     return np.asarray(np.maximum(D, _TRACE * np.max(D / w) * w) if np.any(D) else w)
 
 
 def _shifted(small: Linearised, shift: float) -> Array:
-    """Return values of K + shift D, which rigid motions do not make singular."""
+    """Return the values of K + shift D, which is regular for rigid motions, shape (nnz,)."""
     P = small.K.copy()
     P[small.system.pattern.diagonal] += shift * _stiffness(small)
     return P
@@ -247,12 +254,12 @@ def _factors(small: Linearised, P: Array) -> Factorization:
 
 
 def lost(z: Array, noise: Array) -> Array:
-    """Return the numbers of modes, not rigid, of whose values round-off takes too much."""
+    """Return the indices of modes, not rigid, whose z has too much round-off."""
     return np.flatnonzero((z != 0) & (noise > ALLOWED * np.abs(z)))
 
 
 def refuse_lost(small: Linearised, z: Array, noise: Array) -> None:
-    """Refuse modes that are not rigid and whose values round-off moves by too much."""
+    """Raise NoModes if a mode that is not rigid has too much round-off in z."""
     missing = lost(z, noise)
     if not len(missing):
         return
@@ -295,15 +302,15 @@ def refuse_lost(small: Linearised, z: Array, noise: Array) -> None:
 
 
 def _ritz(precise: Precise, Z: Array) -> tuple[Array, Array]:
-    """Ritz's method, again for values below the digits of the largest; by growing value.
+    """Return Ritz values and shapes in the span of Z, increasing, the small values computed twice.
 
-    Round-off of the largest value e turns shapes by eps, by which a quotient is off by eps^2 e.
+    Round-off of the largest value e mixes shapes by eps, which changes a quotient by eps^2 e.
     """
     Z = Z / np.sqrt(_squares(precise.small, Z))
     K, M = Z.T @ precise.times(Z), Z.T @ precise.small.times(precise.small.M, Z)
     try:
         z, Y = scipy.linalg.eigh((K + K.T) / 2, (M + M.T) / 2)
-    except scipy.linalg.LinAlgError as error:  # Vectors became one and the same rigid motion.
+    except scipy.linalg.LinAlgError as error:  # Vectors converged to the same rigid motion.
         raise NoModes(precise.small.words(_TOO_THIN, _TOO_STIFF)) from error
     X, small = Z @ Y, np.abs(z) < EPS**0.5 * np.max(np.abs(z))
     if np.any(small):
@@ -312,13 +319,13 @@ def _ritz(precise: Precise, Z: Array) -> tuple[Array, Array]:
 
 
 def _noise(precise: Precise, X: Array, z: Array) -> Array:
-    """Round-off in z: the most that other roundings of the coordinates change in x^T K x."""
+    """Return the round-off of z, (k,): the largest change of x^T K x by other roundings."""
     q, generator = precise.q, np.random.default_rng(3)
     quotients = np.einsum("ij,ij->j", X, precise.times(X))
     change = np.zeros(len(z))
     for _ in range(_ROUNDINGS):
         other = replace(precise, q=q * (1 + EPS * generator.choice([-1.0, 1.0], q.shape)))
-        # A third of a shape rounds otherwise, too.
+        # A third of a shape is rounded differently, too.
         Y = X * (1 + EPS * generator.choice([-1.0, 1.0], X.shape))
         moved = 3.0 * np.einsum("ij,ij->j", Y, other.times(Y / 3.0))
         change = np.maximum(change, np.abs(moved - quotients))

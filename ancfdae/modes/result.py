@@ -15,7 +15,7 @@ from ancfdae.numerics.arrays import Array
 
 
 class ModeKind(Enum):
-    """Kind of a mode; the value is the word shown to a reader."""
+    """Kind of a mode; the value is the text of messages and tables."""
 
     RIGID = "free to move"
     VIBRATION = "vibrates"
@@ -33,11 +33,11 @@ class ModeDerivatives:
     names : tuple of str
         Names of the design variables.
     exponents_b : array, shape (count, n_b), complex
-        Zero for rigid modes. For modes that coincide: how each of them, in increasing order, moves
-        as one variable alone grows; not linear in several variables together, and infinite where
-        their shapes coincide too (critical damping).
+        Derivatives of `Modes.exponents`; zero for rigid modes. For coinciding modes: derivatives of
+        each mode, in increasing order, along one variable alone; not linear in several variables
+        together, and infinite where the shapes coincide too (critical damping).
     shapes_b : tuple of array, shape (n_q, n_b), or None
-        None for modes that coincide, and by adjoints.
+        Derivatives of the shapes; None for modes that coincide, and by adjoints.
     """
 
     names: tuple[str, ...]
@@ -51,24 +51,24 @@ class ModeDerivatives:
 @final
 @dataclass(frozen=True, repr=False)
 class Modes(PrintedTable):
-    """Small motions x e^{st} about a configuration at rest; made by `modes`.
+    """Small motions x e^{st} about a static configuration; returned by `modes`.
 
     Attributes
     ----------
     exponents : array, shape (count,), complex
-        s, with Im s >= 0: i omega where nothing damps or grows. A growing motion without damping,
-        which has -s as well, has the positive one; a rigid one zero.
+        Exponents s with Im s >= 0, in 1/s: i omega for undamped vibrations, zero for rigid modes.
+        Of s and -s of a growing motion without damping, the positive one.
     shapes : array, shape (n_q, count)
-        x with x^H M x = 1; the largest entry (in the norm of the weights) is real and positive.
-        Complex with damping.
+        Mode shapes x with x^H M x = 1; the largest entry (in the norm of the weights) is real and
+        positive. Complex with damping.
     multipliers : array, shape (n_lam, count)
-        Multipliers mu of the shapes, in their unit; columns as those of `shapes`.
+        Multipliers mu of the modes; columns as in `shapes`.
     kinds : tuple of ModeKind
     coincide : tuple of tuple of int
-        Modes that round-off does not separate, in groups of two or more.
+        Indices of modes that round-off does not separate, in groups of two or more.
     cut : tuple of int
-        Modes that coincide with others that were not asked for, of a group that would add more
-        than eight modes; else empty.
+        Indices of modes that coincide with modes beyond the requested ones, in a group that would
+        add more than eight modes; else empty.
     configuration : LinearisationPoint
     unbalanced : float
         Unbalanced force relative to all forces; zero in an equilibrium.
@@ -96,12 +96,12 @@ class Modes(PrintedTable):
 
     @property
     def natural_frequencies(self) -> Array:
-        """|s|, shape (count,); rad/s. Equal to `frequencies` if nothing damps the modes."""
+        """Natural angular frequencies |s|, shape (count,); rad/s. `frequencies` if undamped."""
         return np.abs(self.exponents)
 
     @property
     def damping_ratios(self) -> Array:
-        """-Re s / |s|, shape (count,); zero for rigid modes."""
+        """Damping ratios -Re s / |s|, shape (count,); zero for rigid modes."""
         size = np.abs(self.exponents)
         return np.asarray(0.0 - self.exponents.real / np.where(size == 0, 1.0, size))
 
@@ -129,14 +129,17 @@ class Modes(PrintedTable):
 
     @property
     def damping_ratios_b(self) -> Array:
-        """Design derivatives of `damping_ratios`, shape (count, n_b); as `frequencies_b`."""
+        """Design derivatives of `damping_ratios`, shape (count, n_b).
+
+        Raises InvalidInputError if there are no design variables.
+        """
         size = np.abs(self.exponents)[:, None]
         change = self._known().exponents_b.real
         change = change + self.damping_ratios[:, None] * self.natural_frequencies_b
         return np.asarray(-change / np.where(size == 0, 1.0, size))
 
     def shape_b(self, mode: int) -> Array:
-        """Return the design derivative of a shape, shape (n_q, n_b).
+        """Return the design derivative of a mode's shape, shape (n_q, n_b).
 
         Raises
         ------
@@ -177,10 +180,10 @@ class Modes(PrintedTable):
         return self.derivatives
 
     def to_dataframe(self) -> Any:
-        """Return a table of pandas with a row for each mode.
+        """Return a pandas table with a row for each mode.
 
         Columns are ``natural frequency`` (rad/s), ``damping ratio`` and ``kind``; with design
-        variables also the derivatives of the frequency, ``d/d rod.height``.
+        variables also the derivatives of the natural frequency, ``d/d rod.height``.
         """
         table: dict[str, object] = {
             "natural frequency": self.natural_frequencies,
@@ -217,5 +220,5 @@ class Modes(PrintedTable):
         return f"Modes about {where}", rows, "\n".join(lines)
 
 
-# Relative unbalanced force up to which a configuration is called an equilibrium in messages.
+# Largest relative unbalanced force of a configuration called an equilibrium in messages.
 _BALANCED = 1e-6

@@ -1,8 +1,8 @@
-"""A few eigenvalues of large systems by ARPACK, on the factorised saddle-point matrix.
+"""A few eigenvalues of large systems by ARPACK, with the factorised saddle-point matrix.
 
-The inverse of F(shift) within the constraints maps every force to a motion that keeps them, so
-that all Krylov vectors do. Shifts are of the size of the eigenvalues asked for: taken from a first
-rough pass at a shift near zero. Symmetric systems without damping are not among them: `lanczos`.
+The inverse of F(shift) with the constraints maps every force to a motion that satisfies them, so
+all Krylov vectors do. Shifts have the magnitude of the requested eigenvalues, from a rough
+computation at a shift near zero. Symmetric systems without damping are left to `lanczos`.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from ancfdae.modes.linearised import Linearised
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization
 
-# Takes positions and scaled velocities.
+# Map of positions and scaled velocities to others.
 Advance: TypeAlias = Callable[[Array, Array], tuple[Array, Array]]
 
 # First shift, relative to the largest eigenvalue: round-off leaves zero at 1e-16 of it.
 _NEAR_ZERO = 1e-9
-# A rough pass gives sizes, not values.
+# Tolerance of a rough computation, for magnitudes only.
 _ROUGH = 1e-2
 _SHIFTS = 6
 # Restarts of Arnoldi's method for damped motions; three where exponents do not crowd.
@@ -33,9 +33,9 @@ _RESTARTS = 60
 def undamped(
     small: Linearised, count: int, highest: bool, known: Array | None = None
 ) -> tuple[Array, Array]:
-    """Return z = -s^2 of a K that is not symmetric, by its real part, and the shapes as columns.
+    """Return z = -s^2 of a K that is not symmetric, by real part, and the shapes as columns.
 
-    Known vectors, orthonormal in M, are left out.
+    The columns of `known`, orthonormal in M, are left out.
     """
     if highest:
         z, X = _highest(small, count, known)
@@ -43,7 +43,7 @@ def undamped(
     shift = -_NEAR_ZERO * small.size
     z, _ = _near(small, shift, count, _ROUGH, known)
     for _ in range(_SHIFTS):
-        # Below all of them: a growing motion may lie below the shift.
+        # A shift below all z: a growing motion may lie below the first one.
         shift = -1.5 * float(np.max(np.abs(z)))
         z, X = _near(small, shift, count, 0.0, known)
         if np.min(z.real) > shift:
@@ -54,16 +54,16 @@ def undamped(
 def damped(
     small: Linearised, count: int, size: float, highest: bool, rigid: Array
 ) -> tuple[Array, Array]:
-    """Return exponents with Im s >= 0, nearest to zero or farthest, and their shapes.
+    """Return exponents s with Im s >= 0, nearest to zero or farthest, and their shapes as columns.
 
-    Those of rigid motions are left out, as in `dense.damped`.
+    !Exponents of rigid motions are left out, as in `dense.damped`.
 
     With u = v / size the first-order form maps [x, u] to
 
         size u,   -M^{-1} (K x / size + D u)                                 of farthest exponents s
         x' = -F(size)^{-1} (size M u + (D + size M) x),   u' = x' + x / size            1/(s - size)
 
-    The size is that of the exponents asked for, for example their natural frequencies.
+    `size` is the magnitude of the requested exponents, for example their natural frequencies; 1/s.
     """
     n, root = small.system.n_q, np.sqrt(small.system.weights)
     advance, factors = (_outwards if highest else _inwards)(small, size)
@@ -76,7 +76,7 @@ def damped(
 
     start = root * _start(small, factors)
     OP = scipy.sparse.linalg.LinearOperator((2 * n, 2 * n), matvec=step, dtype=float)
-    # Both of a pair of complex conjugate exponents are found.
+    # ARPACK finds both exponents of a complex conjugate pair.
     theta, Y = scipy.sparse.linalg.eigs(
         OP, k=2 * count, v0=np.concatenate([start, start]), maxiter=_RESTARTS
     )
@@ -108,14 +108,14 @@ def _inwards(small: Linearised, size: float) -> tuple[Advance, Factorization]:
 def _near(
     small: Linearised, shift: float, count: int, tolerance: float, known: Array | None = None
 ) -> tuple[Array, Array]:
-    """Return eigenvalues of K - z M next to a shift that do not belong to known vectors."""
+    """Return eigenvalues z of K - z M near a shift, and shapes, without `known` modes."""
     factors = small.saddle.factor(small.K - shift * small.M, small.Phi_q)
     options = {"sigma": shift, "OPinv": _inverse(small, factors, known)}
     return _sorted(small, count, tolerance, factors, options)
 
 
 def _highest(small: Linearised, count: int, known: Array | None = None) -> tuple[Array, Array]:
-    """Return the eigenvalues of largest real part that do not belong to known vectors."""
+    """Return eigenvalues z of largest real part, and shapes, without `known` modes."""
     factors = small.mass_factors
     options = {"which": "LR", "Minv": _inverse(small, factors, known)}
     return _sorted(small, count, 0.0, factors, options)
@@ -130,8 +130,8 @@ def _sorted(
 ) -> tuple[Array, Array]:
     """Return sorted eigenvalues, (count,), and shapes, (n_q, count), by ARPACK.
 
-    The start keeps the constraints and has, whatever the symmetry of the system, a part in every
-    mode.
+    The start satisfies the constraints and has, whatever the symmetry of the system, a component in
+    every mode.
     """
     n, M = small.system.n_q, small.system.pattern.csr(small.M)
     K = _operator(n, lambda x: small.times(small.K, x))
@@ -144,7 +144,7 @@ def _sorted(
 def _inverse(
     small: Linearised, factors: Factorization, known: Array | None
 ) -> scipy.sparse.linalg.LinearOperator:
-    """Return the inverse on motions that keep the constraints, orthogonal in M to known vectors."""
+    """Return the inverse as an operator on motions orthogonal in M to known vectors."""
 
     def solve(force: Array) -> Array:
         x = small.solve(factors, force)
@@ -154,13 +154,13 @@ def _inverse(
 
 
 def _beside(small: Linearised, x: Array, known: Array) -> Array:
-    """Return the part that is orthogonal in M to known vectors."""
+    """Return x without its components in known vectors, orthogonal to them in M."""
     part: Array = x - known @ (known.T @ small.times(small.M, x))
     return part
 
 
 def _start(small: Linearised, factors: Factorization) -> Array:
-    """Return a random motion within the constraints."""
+    """Return a random motion that satisfies the constraints, shape (n_q,)."""
     generator = np.random.default_rng(1)
     push = generator.standard_normal(small.system.n_q) * np.sqrt(small.system.weights)
     return small.solve(factors, push)

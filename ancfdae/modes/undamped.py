@@ -1,7 +1,7 @@
-"""Modes without damping, with sweeps of inverse iteration that give them all digits there are.
+"""Modes without damping, improved to full accuracy by inverse iteration.
 
-What is rigid, and which modes coincide, is decided by the round-off of x^T K x itself, so that
-neither units nor stiff waves of the section matter.
+The round-off of x^T K x itself decides which motions are rigid and which modes coincide, so neither
+units nor stiff waves of the cross-section matter.
 """
 
 from __future__ import annotations
@@ -30,24 +30,26 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.inertia import WEAK, WHOLE
 
 _SWEEPS = 2
-# F is factorised at this many times the distance between modes that coincide.
+# Distance of the shift from coinciding modes, over the distance between these.
 _ASIDE = 16.0
 
 
 def sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Array]:
-    """Sweeps of inverse iteration with all shapes of a symmetric pencil, and Ritz's method.
+    """Return modes of a symmetric pencil after inverse iteration on all shapes, and errors of z.
 
-    Returns the error left in z, too: what the last sweep changed, d, is d rho^2 / (1 - rho^2) and
-    less, as parts of shapes that are not in the block fall by rho = (z - shift) / (top - shift) or
-    more, where top is the largest z in it. Far from zero a shift changes nothing, and is no proof.
+    From the change d of z in the last sweep the remaining error is d rho^2 / (1 - rho^2) or less,
+    as components of shapes outside the block decrease by rho = (z - shift) / (top - shift) or more,
+    where top is the largest z in the block. Far from zero a shift changes nothing, and proves
+    nothing.
 
-    Dense eigenvalues are good to round-off of the largest one, which in a thin beam is far above
-    the lowest; those of Ritz's method to that of the largest here, which would hide a rigid motion.
+    Dense eigenvalues have the round-off of the largest one, in a thin beam far above the lowest;
+    Ritz values have the round-off of the largest value in the block, which would hide a rigid
+    motion.
     """
     change = np.full(len(z), np.inf)
     for _ in range(_SWEEPS):
         noise = float(np.max(small.round_off(small.K, X)))
-        # Below all of them, and as far from zero as they are: as far as round-off allows.
+        # A shift below all z, with the largest |z| as its magnitude, more if round-off requires it.
         shift = -max(1.5 * float(np.max(np.abs(z))), noise / EPS**0.5)
         try:
             factors = small.saddle.factor(small.K - shift * small.M, small.Phi_q)
@@ -63,7 +65,7 @@ def sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Arra
 
 
 def _falling(z: Array, shift: float, complete: bool) -> Array:
-    """Return 1 - rho^2 of a sweep for each value; 1 for the largest, of which nothing is known."""
+    """Return 1 - rho^2 of a sweep for each z, shape (k,); 1 where rho is unknown."""
     top = np.max(z)
     rho = (z - shift) / (top - shift)
     same = top - z <= ALLOWED * np.abs(top)
@@ -71,11 +73,9 @@ def _falling(z: Array, shift: float, complete: bool) -> Array:
 
 
 def each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Array]:
-    """Sweeps of inverse iteration, one shape after the other: F(z) y = F'(z) x.
+    """Return modes after inverse iteration F(z) y = F'(z) x on each shape, and last changes of z.
 
-    Returns what the last sweep changed in z, too.
-
-    F(z + dz) y = F'(z) (x + dz y) in first order: dz follows where that vanishes along y.
+    F(z + dz) y = F'(z) (x + dz y) to first order: dz makes the component of this along y vanish.
     """
     z, X, change = z.astype(complex), X.astype(complex), np.zeros(len(z))
     beside = _beside_groups(small, z, X)
@@ -96,9 +96,10 @@ def each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array,
 
 
 def _beside_groups(small: Linearised, z: Array, X: Array) -> Array:
-    """Return how far from each z it is sharpened, shape (k,): zero for modes that stand alone.
+    """Return the distance from each z to the shift of its iteration, shape (k,).
 
-    At z the nearest of several vibrations that coincide would take the place of all.
+    Zero for modes that coincide with no other. At z of coinciding vibrations the nearest mode would
+    displace the others.
     """
     noise, beside = noise_of(small, z, X), np.zeros(len(z))
     half = half_gap(z, noise)
@@ -111,11 +112,11 @@ def _beside_groups(small: Linearised, z: Array, X: Array) -> Array:
 
 
 def _quotients(small: Linearised, s: Array, X: Array) -> Array:
-    """Return the root of x^H (s^2 M + s D + K) x + 2 Re mu^H Phi_q x = 0 next to s.
+    """Return the root of x^H (s^2 M + s D + K) x + 2 Re mu^H Phi_q x = 0 next to s, shape (k,).
 
-    Rayleigh's quotient, stationary in x and mu: a violation of the constraints, left by solves next
-    to an eigenvalue, has an effect of second order. With K symmetric and D gyroscopic the root is
-    imaginary to round-off of the products, so that a steady mode does not appear to grow.
+    This Rayleigh quotient is stationary in x and mu: a violation of the constraints, left by
+    solving next to an eigenvalue, has a second-order effect. With K symmetric and D gyroscopic the
+    root is imaginary to round-off of the products, so that a steady mode does not appear to grow.
     """
     assert small.D is not None
     m = small.squares(X)
@@ -124,7 +125,7 @@ def _quotients(small: Linearised, s: Array, X: Array) -> Array:
     k = k + 2 * np.real(np.einsum("ij,ij->j", np.conj(small.multipliers(s, X)), violation))
     half = d / (2 * m)
     root = np.sqrt(half**2 - k / m)
-    # The root of larger size has no cancellation, and the product of both is k / m.
+    # The root of larger magnitude has no cancellation; the product of the two roots is k / m.
     far = -half - np.where(np.real(np.conj(half) * root) >= 0, root, -root)
     ends = far, k / m / np.where(far == 0, 1.0, far)
     return np.asarray(np.where(np.abs(ends[0] - s) <= np.abs(ends[1] - s), *ends))
@@ -137,8 +138,9 @@ def _quotients(small: Linearised, s: Array, X: Array) -> Array:
 # modes faster than Lanczos's method with a count; damped motions have twice as many exponents, all
 # of which dense methods find (docs/measurements.md, "Modes").
 _DENSE, _DENSE_LOWEST, _DENSE_DAMPED = 300, 100, 120
-# Up to this many they take over where Lanczos's method has not found all modes by the count: at
-# once where there are up to _CHEAP times as many motions as modes are asked for.
+# Largest number of motions for which dense matrices replace Lanczos's method where the count shows
+# that it missed modes, and as a multiple of the modes asked for the number up to which they do so
+# at once.
 _DENSE_MOST, _CHEAP = 3000, 12
 _UNCOUNTED = (
     "modes: more modes lie below the last one than were found, or round-off hides their number. "
@@ -146,15 +148,15 @@ _UNCOUNTED = (
 )
 # ARPACK needs room for its basis.
 _ROOM = 40
-# Part of the next value that one counts as freed by a load at.
+# Largest |z|, relative to the next one, of a mode whose stiffness a load counts as having removed.
 _FREED = 1e-3
 
 
 def undamped(small: Linearised, count: int, highest: bool, asked: int | None = None) -> Eigenpairs:
     """Return the lowest z = -s^2, or the highest, and their shapes.
 
-    The first that are `asked` for, by default all, and those that coincide with them have all their
-    digits. NoModes if one of them could be off by more than a part of 2e-6.
+    The first `asked` modes, by default all, and modes that coincide with them have full accuracy.
+    NoModes if one of them may have a relative error above 2e-6.
     """
     if not small.symmetric:
         return _asymmetric(small, count, highest)
@@ -168,7 +170,7 @@ def undamped(small: Linearised, count: int, highest: bool, asked: int | None = N
         return pairs
     try:
         z, X, noise = precise_modes(small, pairs.X)
-        # Before round-off is named zero: the rigid motions are, and no other is one of them.
+        # Before round-off is set to zero: rigid motions have z = 0, and no other mode is rigid.
         refuse_lost(small, z, noise)
         precise = _sorted(finished(small, z, X, noise))
     except NoModes:
@@ -179,9 +181,9 @@ def undamped(small: Linearised, count: int, highest: bool, asked: int | None = N
 
 
 def _found(small: Linearised, count: int, asked: int, highest: bool) -> tuple[Array, Array, Array]:
-    """Return values, shapes and changes by Lanczos's method with a count, or by dense matrices.
+    """Return z, shapes and changes of z by Lanczos's method with a count, or by dense matrices.
 
-    NoModes of large systems where the count shows that modes lack, or round-off hides it.
+    NoModes for large systems where the count shows that modes are missing, or round-off hides it.
     """
     large = not is_small(small, count)
     found = None
@@ -200,10 +202,10 @@ def _found(small: Linearised, count: int, asked: int, highest: bool) -> tuple[Ar
 
 
 def _mixed(small: Linearised, pairs: Eigenpairs) -> bool:
-    """Whether modes with z = 0 may be, or contain, others that are not rigid.
+    """Whether modes with z = 0 may be, or contain, modes that are not rigid.
 
-    `separated` leaves them a part (sigma / z)^3 of a shape with z, which takes its square of z; and
-    all shapes with z below sigma are zero to round-off.
+    `separated` leaves in rigid motions a component (sigma / z)^3 of a shape with eigenvalue z,
+    which adds its square times z to theirs; and all shapes with z below sigma count as zero.
     """
     zero = pairs.z == 0
     if not np.any(zero):
@@ -214,13 +216,13 @@ def _mixed(small: Linearised, pairs: Eigenpairs) -> bool:
 
 
 def _sorted(pairs: Eigenpairs) -> Eigenpairs:
-    """By growing z, of which round-off may be named zero since they were found."""
+    """Return pairs by increasing z, some of which may since have been set to zero."""
     order = np.argsort(pairs.z, kind="stable")
     return Eigenpairs(pairs.z[order], pairs.X[:, order], pairs.noise[order])
 
 
 def _asymmetric(small: Linearised, count: int, highest: bool) -> Eigenpairs:
-    """Return modes where loads turn with the motion: growing ones first, of all up to WHOLE."""
+    """Return modes for asymmetric K: growing ones first, of all motions up to WHOLE of them."""
     rigid = rigid_motions(small)
     if small.n_free <= WHOLE:
         z, error, X = dense.asymmetric(small, rigid)
@@ -240,7 +242,7 @@ def _asymmetric(small: Linearised, count: int, highest: bool) -> Eigenpairs:
 
 
 def warn_of_part() -> None:
-    """Warn of a large system whose motions have not all been searched for growing ones."""
+    """Warn that not all motions of a large system were searched for growing ones."""
     warnings.warn(
         "modes: motions may grow, and only those next to zero were searched for it, since there "
         f"are more than {WHOLE:,}. Use fewer elements, or look at parts of the scene alone.",
@@ -252,8 +254,9 @@ def warn_of_part() -> None:
 def _first(z: Array, noise: Array | float) -> Array:
     """Return the order, (k,), of z = -s^2: growing motions, fastest first, others, decaying ones.
 
-    Up to the noise z is real, or zero. Each kind goes by size. Vibrations that grow by less than
-    WEAK of their frequency stand among vibrations: waves of single elements may.
+    A z within `noise` of real, or of zero, counts as real, or zero. Each kind is sorted by |s|.
+    Vibrations that grow by less than WEAK of their frequency are ranked as vibrations: waves of
+    single elements may grow so.
     """
     s = np.sqrt(-z.astype(complex))
     s = np.where(s.imag < 0, -s, s)
@@ -265,13 +268,13 @@ def _first(z: Array, noise: Array | float) -> Array:
 
 
 def with_rigid(rigid: Array, z: Array, X: Array, change: Array) -> tuple[Array, Array, Array]:
-    """Return values, shapes and changes of values, rigid motions first."""
+    """Return z, shapes and changes of z with the rigid motions, of z = 0, placed first."""
     none = np.zeros(rigid.shape[1])
     return np.append(none, z), np.hstack([rigid, X]), np.append(none, change)
 
 
 def _freed(z: Array, noise: Array, missing: Array) -> bool:
-    """Whether a load is so near its critical value that the `missing` modes vanish in round-off.
+    """Whether a load is so near its critical value that z of the `missing` modes is round-off.
 
     Next to a critical load z passes through zero. Neighbouring z of beams without a load differ by
     a factor of 40 at most.
@@ -285,6 +288,6 @@ def _freed(z: Array, noise: Array, missing: Array) -> bool:
 
 
 def is_small(small: Linearised, count: int) -> bool:
-    """Whether `count` modes are found faster with dense matrices."""
+    """Whether dense matrices find `count` modes faster than iterative methods do."""
     size = _DENSE if small.D is None else _DENSE_DAMPED
     return small.n_free <= max(size, 3 * count + _ROOM)

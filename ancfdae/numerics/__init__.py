@@ -1,1 +1,1 @@
-"""Complex-safe array helpers, quadrature, sparsity patterns and linear solvers."""
+"""Numerical tools: complex steps, operation lists, sparsity, linear solvers, time grids."""

@@ -1,8 +1,7 @@
-"""Array type and norms that keep complex perturbations out of decisions.
+"""Array types and the imaginary step of complex-step derivatives.
 
-A complex-step run carries a perturbation of size `STEP` in the imaginary
-part. Values must keep it (no ``abs``, no conjugation); decisions, such as
-convergence tests, must look at the real part only.
+A complex-step run carries a perturbation of size `STEP` in the imaginary part. Values must keep it
+(no ``abs``, no conjugation); decisions, such as convergence tests, must look at the real part only.
 """
 
 from collections.abc import Sequence
@@ -10,9 +9,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-# As numpy.typing.NDArray[Any], which takes as long to import as a tenth of this package.
+# The same as numpy.typing.NDArray[Any], whose import takes a tenth of this package's import time.
 Array: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[Any]]
-# Numbers as a user gives them.
+# A sequence or array of numbers from a user.
 Numbers: TypeAlias = Sequence[float] | Array
 # Imaginary step of derivatives, about 1e-40, relative to what it is added to. Its square vanishes
 # against one, it stays far above the smallest normal number after division by beta h^2 or
@@ -21,5 +20,5 @@ STEP = 2.0**-133
 
 
 def only(batch: Array) -> Array:
-    """Return the one entry of a batch of one instant."""
+    """Return the single entry of a batch that holds one state."""
     return batch[0]

@@ -1,13 +1,11 @@
-"""Complex steps through functions of a user, and differences where these do not serve.
+"""Derivatives of a user's functions by complex steps, and by extrapolated differences.
 
-Functions of a user that are differentiated by complex steps: which ones, and which are none.
-
-First derivatives from real values alone: central differences, extrapolated (Ridders 1982).
-
-Differences of steps h, h/c, h/c^2, ... have errors in even powers of h, which Neville's scheme
-removes one by one. Truncation falls from row to row while round-off grows; the entry that changed
-least against its neighbours is where they balance. With values good to eps it is good to about
-1e-11, ten times better than a plain central difference at its best step.
+A function is checked for a complex step that is its derivative (`require_derivative`). First
+derivatives from real values alone are central differences, extrapolated (Ridders 1982). Differences
+of steps h, h/c, h/c^2, ... have errors in even powers of h, which Neville's scheme removes one by
+one. Truncation falls from row to row while round-off grows; they balance at the entry that changed
+least against its neighbours. With values good to eps it is good to about 1e-11, ten times better
+than a plain central difference at its best step.
 """
 
 import warnings
@@ -25,10 +23,10 @@ FAILURES = (TypeError, ValueError, AttributeError, ArithmeticError, IndexError)
 def require_derivative(
     where: str, function: Callable[..., Array], x: Sequence[Array], dx: Sequence[Array]
 ) -> None:
-    """Refuse a function whose complex step along dx, of the size of x, is not its derivative.
+    """Raise InvalidInputError unless a function's complex step along dx is its derivative.
 
-    Refused is a function that fails on complex numbers, or whose complex step agrees with no
-    central difference of six sizes; where no difference is finite, it is accepted.
+    dx has the size of x. The function must accept complex numbers, and its complex step must agree
+    with a central difference of one of six sizes; where no difference is finite, it is accepted.
     """
 
     def along(s: complex) -> Array:
@@ -45,7 +43,7 @@ def require_derivative(
         # A function that vanishes with its slope has differences of the order s^2 f(x + dx).
         far = np.abs(along(1.0)) + np.abs(along(-1.0))
         curved = 10.0 * np.where(np.isfinite(far), far, 0.0)
-        # Slopes below this are no numbers, or inexact ones, once they are times the step.
+        # Slopes below this underflow, or lose digits, when multiplied by the step.
         lost = np.finfo(float).tiny / STEP
         for s in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8):
             difference = (along(s) - along(-s)).real / (2 * s)
@@ -67,20 +65,20 @@ def _unsafe(where: str, got: str) -> InvalidInputError:
     )
 
 
-# Steps against arguments of the order of one.
+# Steps of the differences, for functions that vary over arguments of the order of one.
 _DIVISOR = 1.6
 _STEPS = tuple(0.05 / _DIVISOR**k for k in range(6))
 
 
-# Scales tried, in this order, and the change against the largest entry that is good enough.
+# Scales of the argument, tried in this order, and the relative change that ends the trials.
 _SCALES = tuple(4.0 ** (k * sign) for k in range(20) for sign in (1, -1)[: 1 + (k > 0)])
 _GOOD = 1e-9
-# Changes beyond this are round-off.
+# With larger relative changes the differences are round-off.
 _RESOLVED = 1e-2
 
 
 def real_derivative(f: Callable[[float], Array]) -> Array:
-    """Return f'(0) of a function that varies over arguments of the order of one.
+    """Return f'(0) of a function that varies over arguments of the order of one; shape of f.
 
     Every entry of the array is extrapolated as long as that reduces its error.
     """
@@ -88,24 +86,27 @@ def real_derivative(f: Callable[[float], Array]) -> Array:
 
 
 def scaled_derivative(f: Callable[[float], Array]) -> Array:
-    """Return f'(0) of a function that varies over arguments of any order, found by trial."""
+    """Return f'(0), shape of f, of a function that varies over arguments of unknown order.
+
+    The scale of the argument is found by trial.
+    """
     best, least, value = np.zeros(()), np.inf, np.max(np.abs(f(0.0)), initial=0.0)
     with np.errstate(all="ignore"):
         for scale in _SCALES:
             found, change = _extrapolated(lambda s, scale=scale: f(scale * s))  # type: ignore[misc]
-            # Differences carry the round-off of values; where they drown in it nothing is known.
+            # Differences carry the round-off of the values, which may exceed them.
             error = np.max(change, initial=0.0) + np.finfo(float).eps * value
             size = np.max(np.abs(found), initial=0.0)
             if error < least * size:
                 best, least = found / scale, error / size
             if least <= _GOOD:
                 return best
-    # Nothing but round-off at any scale is the derivative of a constant.
+    # If differences are round-off at every scale, the function is constant.
     return best if least < _RESOLVED else np.zeros_like(found)
 
 
 def _extrapolated(f: Callable[[float], Array]) -> tuple[Array, Array]:
-    """Return f'(0) and the last change of each entry."""
+    """Return f'(0) and the last change of each entry, which estimates its error."""
     before: list[Array] = []
     best, change = np.zeros(()), np.array(np.inf)
     for step in _STEPS:

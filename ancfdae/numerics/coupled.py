@@ -1,17 +1,21 @@
-"""Saddle-point matrices of several copies of one system, coupled in K, as the stages of a step are.
+"""Saddle-point matrices of copies of one system, coupled in K, such as the stages of Radau.
 
-[ K_11 .. K_1s   B_1^T         ]
-[ ..      ..            ..     ]      all K_ij on the pattern of K (n x n),
-[ K_s1 .. K_ss           B_s^T ]      B_i on that of B (m x n).
-[ B_1 .. B_s           0       ]
+[ K_11 .. K_1s   B_1^T         ] [ ..      ..            ..     ]      all K_ij on the pattern of K
+(n x n), [ K_s1 .. K_ss           B_s^T ]      B_i on that of B (m x n). [ B_1 .. B_s           0 ]
 """
+
+from typing import TypeAlias
 
 import numpy as np
 
-from ancfdae.kernels import CoupledArrays
+from ancfdae.kernels import Band
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.linear_solvers import SaddlePoint
+from ancfdae.numerics.linear_solvers import Factorise, SaddlePoint
 from ancfdae.numerics.patterns import SparsityPattern
+
+#: The coupled matrix of stages: order and scale of the unknowns, places of blocks (i, j) in its K,
+#: and a band, or what factorises.
+CoupledArrays: TypeAlias = tuple[Array, Array, Array, Band | None, Factorise | None]
 
 
 def coupled_arrays(
@@ -22,9 +26,9 @@ def coupled_arrays(
     constraint_values: Array,
     order: Array | None = None,
 ) -> CoupledArrays:
-    """Return the coupled matrix of one system for kernels; weights and values of B scale it.
+    """Return the storage of the module's matrix for kernels; weights and values of B scale it.
 
-    Where the unknowns of the system have an order in a band, all copies of one stand together.
+    If the unknowns of the system have an `order` in a band, all copies of an unknown are adjacent.
     """
     m, n = B.shape
     i, j = np.indices((copies, copies)).reshape(2, -1, 1)

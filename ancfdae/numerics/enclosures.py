@@ -1,9 +1,9 @@
-"""Bounds of a list of operations where its inputs lie in intervals.
+"""Interval arithmetic: bounds of a list of operations whose inputs lie in intervals.
 
-Every operation takes the intervals of its arguments to one that holds all its values there, for
-many boxes of inputs at once. Bounds of a sum or a product are too wide where arguments depend on
-each other, but never too narrow, up to round-off, however sharply the functions change: no sample
-is needed to see a peak between two samples. A result that is not known is the whole line.
+Every operation maps the intervals of its arguments to one that holds all its values there, for many
+boxes of inputs at once. Bounds of a sum or a product are too wide where arguments depend on each
+other, but never too narrow, up to round-off, however sharply the functions change: a peak between
+two samples cannot be missed. An unknown result is the whole real line.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def _walked(
     constant: Callable[[Array], Any],
     apply: Callable[..., Any],
 ) -> list[Any]:
-    """Return outputs by applying the operations that they need in their order."""
+    """Return `outputs` by applying, in their order, the operations that they need."""
     known, flat = dict(inputs), outputs.ravel().tolist()
     first = next(iter(inputs.values()))
     one = np.ones(np.shape(first[0] if isinstance(first, Interval) else first))
@@ -112,12 +112,12 @@ def _cosh(x: Interval) -> Interval:
 
 
 def _power(x: Interval, y: Interval) -> Interval:
-    """Bound x^c of a constant c, which is no whole number: x is positive."""
+    """Bound x^c for a constant c that is not an integer, and positive x."""
     return _ends([x.low**y.low, x.high**y.low])
 
 
 def _wave(x: Interval, shift: float) -> Interval:
-    """Bound cos(x - shift)."""
+    """Bound cos(x - shift) over intervals of x."""
     low, high = x.low - shift, x.high - shift
     least, most = _ends([np.cos(low), np.cos(high)])
     turns_high = np.floor(high / (2 * _HALF_TURN)) > np.floor(low / (2 * _HALF_TURN))

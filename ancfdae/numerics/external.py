@@ -1,22 +1,19 @@
-"""Functions that formulas call as they are, with derivatives of any order.
+"""User functions that formulas call as they are (a table, a tyre model), with derivatives.
 
-Derivatives of any order of analytic functions, from their values on a circle (Cauchy).
-
-The coefficient of z^r in f is the mean of f(z) z^-r over a circle |z| = rho. From N points its
-error is (rho/R)^N with the radius R of convergence, and round-off over rho^r. A circle is small
-enough if the coefficient of half the order N is small; of those the one with the least round-off
-serves.
-
-Functions that formulas call as they are: a table, a tyre model, compiled code.
-
-A list of operations (`ancfdae.numerics.operations`) calls such a function f of n numbers where its
-value is needed. Derivatives along directions d are calls as well:
+A list of operations (`ancfdae.numerics.operations`) calls such a function f of n numbers for its
+value. Derivatives along directions d are calls as well:
 
     f'(x) d                  partials of the user times d, or a complex step of f
     f''(x) (d, e), ...       partials of these partials, or means over circles in the complex plane
 
-Partials of a user are a formula: they are traced, and called if that fails. At complex numbers
-x + i y, where y is a perturbation, a function with partials of its own is f(x) + i f'(x) y.
+Partials of a user are a formula: they are traced, and called if that fails. At complex numbers x +
+i y, where y is a perturbation, a function with partials of its own is f(x) + i f'(x) y.
+
+Higher derivatives of analytic functions follow from their values on a circle (Cauchy): the
+coefficient of z^r in f is the mean of f(z) z^-r over a circle |z| = rho. From N points its error is
+(rho/R)^N with the radius R of convergence, and round-off over rho^r. A circle is small enough if
+the coefficient of half the order N is small; of these circles the one with the least round-off is
+used.
 """
 
 from __future__ import annotations
@@ -37,20 +34,20 @@ from ancfdae.numerics.complex_step import FAILURES, scaled_derivative
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
 from ancfdae.numerics.vector_formulas import Carried
 
-# Points of a circle, and the upper half of them: f(conj z) = conj f(z).
+# Number of points on a circle, and its upper half, which suffices: f(conj z) = conj f(z).
 _POINTS = 16
 _UPPER = np.exp(2j * np.pi * np.arange(_POINTS // 2 + 1) / _POINTS)
-# First radius, for functions that vary over arguments of the order of one; the factor between
-# radii, and how many are tried.
+# First radius, for functions that vary over arguments of the order of one; factor between radii,
+# and largest number of radii.
 _RADIUS, _FACTOR, _TRIALS = 0.125, 4.0, 8
-# Largest middle coefficient over the largest one, at the unit of the radius.
+# Largest ratio of the middle coefficient to the largest one, in powers of the radius.
 _SMALL = 1e-7
 
 
 def coefficient(f: Callable[[complex], Array], order: int) -> Array:
-    """Return f^(r)(0) / r!, of the shape of f, for a function that is real at real numbers; r <= 4.
+    """Return f^(r)(0) / r! for r = `order` <= 4, of the shape of f, which is real at real numbers.
 
-    If f is analytic on no circle tried, the circle with the smallest middle coefficient is taken.
+    If f is analytic on no circle tried, the circle with the smallest middle coefficient is used.
     """
     best, error, least, radius = np.zeros(()), np.array(np.inf), np.inf, _RADIUS
     with np.errstate(all="ignore"):
@@ -79,18 +76,18 @@ def coefficient(f: Callable[[complex], Array], order: int) -> Array:
 
 @final
 class ExternalFunction:
-    """A function of numbers for the formulas of a system, called where they cannot be traced.
+    """A function of numbers for the formulas of a system, called where it cannot be traced.
 
     Parameters
     ----------
     function : callable
         Smooth function of n numbers that returns a number, or `size` numbers. Without `derivative`
-        it takes complex numbers, and is differentiated by complex steps.
+        it must accept complex numbers, and is differentiated by complex steps.
     derivative : callable, optional
-        Takes the same numbers and returns the partials, shape (n,), or (size, n); a number if
-        both are one. Second derivatives follow from it by its own operations if it is written in
-        functions of NumPy, by its own `derivative` if it is an `ExternalFunction`, and else by
-        differences, good to about 1e-10.
+        Takes the same numbers and returns the partials, shape (n,), or (size, n); a number if both
+        are one. Second derivatives follow from its operations if it is written in functions of
+        NumPy, from its own `derivative` if it is an `ExternalFunction`, and else from differences,
+        good to about 1e-10.
     size : int, optional
         Length of the array that the function returns; by default it returns a number.
 
@@ -98,7 +95,7 @@ class ExternalFunction:
     ------
     InvalidInputError
         If the function is not callable, or later, if it or its derivative returns another number of
-        values, or if it comes without a derivative and refuses complex numbers.
+        values, or if it has no derivative and rejects complex numbers.
     """
 
     def __init__(
@@ -117,7 +114,7 @@ class ExternalFunction:
         self._called: dict[int, Called] = {}
 
     def __call__(self, *x: Any) -> Any:
-        """Return the value at numbers or symbols; of arrays, entry by entry."""
+        """Return the value at numbers or symbols; for arrays, entry by entry."""
         if any(isinstance(y, Carried) for y in x):
             raise InvalidInputError(
                 f"ExternalFunction({_name(self.function)})",
@@ -163,7 +160,7 @@ def _traced(called: Called, row: Array) -> Array:
 @final
 @dataclass(frozen=True)
 class _Rows:
-    """A function of n numbers as one of a row of them, with an array as its value."""
+    """An `ExternalFunction` of n numbers as a function of a row (n,), with values (size,)."""
 
     of: ExternalFunction
     n: int
@@ -187,7 +184,7 @@ class _Rows:
 @final
 @dataclass(frozen=True)
 class _Partials:
-    """The user's partials as a function of a row of numbers."""
+    """The user's partials of a function as a function of a row of numbers, (size n,)."""
 
     of: ExternalFunction
 
@@ -197,10 +194,10 @@ class _Partials:
 
 @final
 class Called:
-    """A function, or its derivative along `order` directions, as a list calls it.
+    """A function, or its derivative along `order` directions, as a list of operations calls it.
 
-    `real` partials of a user are differentiated by differences if they refuse complex numbers.
     It takes rows of x and of the directions behind it, (k, n (1 + order)), and returns (k, size).
+    `real` partials of a user are differentiated by differences if they reject complex numbers.
     """
 
     def __init__(
@@ -216,12 +213,12 @@ class Called:
 
     @cached_property
     def next(self) -> Called:
-        """The derivative of one order more."""
+        """The derivative of this called function along one more direction."""
         return Called(self.function, self.size, self._external, self._order + 1, self._real)
 
     @cached_property
     def _of_partials(self) -> Called:
-        """The user's partials, called."""
+        """The user's partials as a called function, where they cannot be traced."""
         assert self._external is not None
         n = self.function.n  # type: ignore[attr-defined]
         return Called(_Partials(self._external), self.size * n, real=True)
@@ -235,7 +232,10 @@ class Called:
     def rates(
         self, operations: Operations, numbers: Sequence[int], rates: Mapping[int, int]
     ) -> Array | None:
-        """Return numbers of the derivatives from rates of the inputs; None if nothing moves."""
+        """Return the numbers, (size,), of rates of the values from rates of inputs, or None.
+
+        None means that no input changes.
+        """
         x, *along = self._parts(list(numbers))
         zero, found = operations.constant(0.0), list[Array]()
         dx, *moved = ([rates.get(y, zero) for y in part] for part in (x, *along))
@@ -260,7 +260,7 @@ class Called:
         return Traced.array(operations, operations.call(of, numbers))
 
     def _partials(self, operations: Operations, x: Sequence[int]) -> Array:
-        """Return symbols of the user's partials, (size, n); they are called if not traceable."""
+        """Return symbols of the user's partials, (size, n); called if they cannot be traced."""
         assert self._external is not None
         symbols = Traced.array(operations, np.array(x))
         try:
@@ -278,7 +278,7 @@ class Called:
     # -- as numbers ------------------------------------------------------------------------------
 
     def __call__(self, rows: Array) -> Array:
-        """Return the values of rows, real or complex, shape (k, size)."""
+        """Return the values at the rows, real or complex, shape (k, size)."""
         values = np.empty((len(rows), self.size), dtype=rows.dtype)
         for value, row in zip(values, rows, strict=True):
             x, *along = self._parts(row)
@@ -311,7 +311,7 @@ class Called:
             ) from error
 
     def _on_circles(self, x: Array, along: list[Array]) -> Array:
-        """Return a derivative along r directions by their sums and differences, shape (size,).
+        """Return a derivative along r directions from sums and differences of them, (size,).
 
         The part of f that is linear in each direction is the mean of s_2 ... s_r c_r over all signs
         s, where c_r is the coefficient of z^r in f(x + z (d_1 + s_2 d_2 + ... + s_r d_r)).
@@ -330,7 +330,7 @@ class Called:
         return self.function(x + z * d)
 
     def _perturbed(self, x: Array, along: list[Array]) -> Array:
-        """Return the value at complex numbers with perturbations as imaginary parts, (size,)."""
+        """Return the value, (size,), at complex numbers whose imaginary parts are perturbations."""
         real, *directions = (y.real for y in (x, *along))
         value = self._at(real, directions)
         if self._by_partials:
@@ -347,5 +347,5 @@ class Called:
 
 
 def _size(x: Array, d: Array) -> float:
-    """Return the largest number that moves along d, over its change."""
+    """Return the largest entry of x that changes along the direction d, over max |d|."""
     return float(np.max(np.abs(x[d != 0])) or 1.0) / float(np.max(np.abs(d)))

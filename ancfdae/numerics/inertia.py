@@ -1,29 +1,29 @@
-"""L D L^T of symmetric saddle-point matrices whose bands are wide: nets, frames, trees of bodies.
+"""Factorisation L D L^T of symmetric saddle-point matrices, and their negative directions.
+
+**Fronts** factorise matrices whose bands are wide (nets, frames, trees of bodies):
 
     [ K      B^T ]     scaled by powers of two, so that the diagonal of K and the largest entry of
     [ B    -eps  ]     each row of B have the size of one;  eps = 1e-7
 
 is quasidefinite where K is positive definite: L D L^T then exists in every order of the unknowns
 (Vanderbei 1995), with positive pivots of coordinates and negative ones of multipliers, so that the
-order with the least work serves. Iterative refinement with the matrix itself, eps = 0, removes the
-perturbation: an error shrinks by about eps over the smallest eigenvalue of B K^-1 B^T with each
+order with the least work can be used. Iterative refinement with the matrix itself, eps = 0, removes
+the perturbation: an error shrinks by about eps over the smallest eigenvalue of B K^-1 B^T with each
 sweep. The factorisation is multifrontal (`kernels/fronts.h`).
 
-Negative directions of a matrix on the null space of constraints, counted.
-
-The saddle-point matrix of a symmetric K and m independent constraints B has m negative
-eigenvalues and one more for every direction of the null space of B in which K is negative.
-L D L^T without exchanges counts them all, whatever their size: by Sylvester's law of inertia D has
-as many negative entries.
+**Negative directions** of K on the null space of constraints are counted. The saddle-point matrix
+of a symmetric K and m independent constraints B has m negative eigenvalues and one more for every
+direction of the null space of B in which K is negative. L D L^T without exchanges counts them all,
+whatever their size: by Sylvester's law of inertia D has as many negative entries.
 
     [ K + B^T B   B^T ]
     [ B           0   ] = L D L^T
 
-B^T B adds nothing on the null space and holds coordinates that only constraints hold. All is
-measured against a positive diagonal D_0: eigenvalues are those of K x = kappa D_0 x on the null
-space, numbers without a unit, and with K + sigma D_0 those below -sigma are counted. The factors
-are those of a matrix whose entries differ by eps sum_k L_ik^2 |D_k|: where a pivot has cancelled
-this is much more than eps, and the count is refused.
+B^T B adds nothing on the null space and makes coordinates regular that only constraints hold.
+Eigenvalues kappa are relative to a positive diagonal D_0, K x = kappa D_0 x on the null space,
+numbers without a unit; with K + sigma D_0 those below -sigma are counted. The factors are exact for
+a matrix whose entries differ by eps sum_k L_ik^2 |D_k|: where a pivot has cancelled this is much
+more than eps, and the count is rejected.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from typing import Any, TypeAlias, final
 import numpy as np
 import scipy
 
-from ancfdae.kernels import FrontArrays, eliminate, fronts_factor, fronts_signs, fronts_solve
+from ancfdae.kernels import FrontPlan, eliminate
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import SparsityPattern
 
-# Terms of a sum of matrices: numbers and values on the pattern.
+# Terms of a sum of matrices: pairs of a factor and entries on the pattern.
 Terms: TypeAlias = tuple[tuple[float, Array], ...]
-# A refined residual above this part of the right side and the solution is no round-off: rows of B
-# are almost dependent, and refinement has not converged.
+# Refinement has not converged if the relative residual is above this: rows of B are then almost
+# dependent.
 _UNREFINED = 1e-12
-# Orders with little fill: minimum degree is better for frames, COLAMD for nets.
+# Orderings with little fill: minimum degree is better for frames, COLAMD for nets.
 _ORDERS: tuple[dict[str, Any], ...] = (
     {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}},
     {"permc_spec": "COLAMD", "diag_pivot_thresh": 0.0},
@@ -54,10 +54,10 @@ _ORDERS: tuple[dict[str, Any], ...] = (
 
 @final
 class Fronts:
-    """The elimination of matrices of one pattern, shape (n + m, n + m).
+    """Multifrontal elimination of matrices of one pattern, shape (n + m, n + m).
 
-    `order` is the order of elimination, found unless one is given; `by_columns` says whether it is
-    COLAMD's, where that takes less work than minimum degree.
+    `order` is the order of elimination, computed unless one is given; `by_columns` says whether it
+    is COLAMD's, which is used where it takes less work than minimum degree.
     """
 
     def __init__(self, K: SparsityPattern, B: SparsityPattern, order: Array | None = None) -> None:
@@ -79,51 +79,48 @@ class Fronts:
         )
         entries, places = np.unique(at, return_inverse=True)
         first = np.searchsorted(entries, (n + m) * np.arange(n + m + 1))
-        self._chosen = np.flatnonzero(lower[: K.size]).astype(np.int32)
-        self._places = places[: len(places) - m].astype(np.int32)
+        chosen = np.flatnonzero(lower[: K.size]).astype(np.int32)
+        to = places[: len(places) - m].astype(np.int32)
         entry_rows = (entries % (n + m)).astype(np.int32)
         signs = np.where(self.order < n, 1.0, -1.0)
-        self._arrays: FrontArrays = (*analysis, first, entry_rows, signs)
-
-    @property
-    def layout(self) -> tuple[Array, Array, FrontArrays]:
-        """The values of K in the lower triangle, places of these and of B, and the fronts."""
-        return self._chosen, self._places, self._arrays
+        #: The fronts, with places of values of K and of B.
+        arrays = *analysis, first, entry_rows, signs, self.order, chosen, to
+        self.plan = FrontPlan(*arrays)
 
     def factor(self, terms: Terms, B: Array) -> Callable[..., Array | None] | None:
-        """Factorise for a sum K of at most three terms; None where a pivot has not its sign.
+        """Return a solver for the sum K of at most three terms; None if a pivot has a wrong sign.
 
-        The solver takes right sides, shape (..., n + m), and the relative residual that need not be
-        refined; it returns None for a matrix so near to
-        a singular one that refinement does not converge.
+        The solver takes right sides, shape (..., n + m), and a relative residual that need not be
+        refined further; it returns None for a matrix so nearly singular that refinement does not
+        converge.
         """
-        factors, failed = fronts_factor(terms, B, self._chosen, self._places, self._arrays)
+        factors, failed = self.plan.factor(terms, B)
 
         def solve(right: Array, enough: float = 0.0) -> Array | None:
-            x, residual = fronts_solve(factors, self._arrays, self.order, right, enough)
+            x, residual = self.plan.solve(factors, right, enough)
             return x if residual <= _UNREFINED else None
 
         return None if failed else solve
 
     def growth(self, terms: Terms, B: Array) -> float | None:
-        """Return the largest sum_k L_ik^2 |D_k|; None where a pivot has not its sign.
+        """Return the largest sum_k L_ik^2 |D_k|; None if a pivot has a wrong sign.
 
-        Relative to the diagonal of K, and to rows of B of length one: rows i of the matrix have an
-        error of eps times this sum.
+        It is relative to the diagonal of K, and to rows of B of length one: row i of the matrix has
+        an error of eps times this sum.
         """
-        _, growth = fronts_signs(terms, B, self._chosen, self._places, self._arrays, False)
+        _, growth = self.plan.signs(terms, B, False)
         return growth if growth < np.inf else None
 
     def negative(self, terms: Terms, B: Array) -> tuple[int, float]:
-        """Return the negative pivots beyond the multipliers' number, and the pivot growth.
+        """Return the number of negative pivots less the number of multipliers, and their growth.
 
         The growth is infinite where a pivot vanishes.
         """
-        return fronts_signs(terms, B, self._chosen, self._places, self._arrays, True)
+        return self.plan.signs(terms, B, True)
 
 
 def _places(order: Array) -> Array:
-    """Return where each unknown stands in an order."""
+    """Return the position of each unknown in an order, the inverse permutation."""
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order))
     return place
@@ -155,17 +152,18 @@ def _analysed(order: Array, rows: Array, columns: Array) -> tuple[Array, tuple[A
 
 
 _EPS = float(np.finfo(float).eps)
-# Bounds that are tried, each 16 times the last one, from the round-off of K on.
+# Number of bounds of negative eigenvalues that are tried, each 16 times the last.
 _BOUNDS = 40
 # An eigenvalue counts as real or negative beyond _ROUNDINGS times the round-off of the largest.
 _ROUNDINGS = 64
-# Fewer motions than this are looked at all at once; eigenvalues first sought around a centre.
+# All eigenvalues are computed for up to _DENSE motions; else first the _AROUND nearest to a centre.
 _DENSE, _AROUND = 100, 12
-# Motions of a large system that are searched for a growing vibration; up to WHOLE all are.
+# Number of lowest motions that are searched for flutter in systems of more than WHOLE motions, and
+# growth, relative to the frequency, below which flutter of other motions is ignored.
 _LOWEST, WHOLE, WEAK = 20, 1500, 1e-3
-# Up to this many coordinates dense matrices may be formed: about a second.
+# Most coordinates for which dense matrices are formed, which takes about a second.
 _LARGE = 800
-# In the order as given. Pivots are taken from the diagonal whatever their size, or exchanged.
+# Options of SuperLU in the given order: with row exchanges, or with diagonal pivots of any size.
 _EXCHANGING: dict[str, Any] = {"permc_spec": "NATURAL"}
 _DIAGONAL = _EXCHANGING | {
     "diag_pivot_thresh": 0.0,
@@ -176,10 +174,10 @@ _DIAGONAL = _EXCHANGING | {
 
 @final
 class ConstrainedPattern:
-    """Places of the entries of saddle-point matrices, compressed by columns in a given order.
+    """Positions of the entries of saddle-point matrices, compressed by columns in a given order.
 
-    The order, (n + m,), has every multiplier behind a coordinate of its own constraint; `wide`
-    says that entries of it stand in no narrow band.
+    In the order, (n + m,), every multiplier follows a coordinate of its own constraint; `wide` says
+    that the entries do not fit into a narrow band.
     """
 
     def __init__(self, K: SparsityPattern, B: SparsityPattern, order: Array, wide: bool) -> None:
@@ -191,7 +189,7 @@ class ConstrainedPattern:
 
     @cached_property
     def _entries(self) -> tuple[Array, Array, Array]:
-        """Return places of the values of `matrix`, and rows and starts of columns of the matrix."""
+        """Return positions of the terms' entries in `matrix`; its rows and starts of columns."""
         K, B, n, size = self.K, self.B, self.K.shape[0], self.size
         i, j = (B.columns[pair] for pair in self.pairs)
         diagonal, multipliers = np.arange(n), n + B.rows
@@ -204,7 +202,7 @@ class ConstrainedPattern:
 
     @cached_property
     def squared(self) -> tuple[SparsityPattern, Array]:
-        """Pattern of K + K^T + 1 + B^T B, and where the values of each go in it."""
+        """Pattern of K + K^T + 1 + B^T B, and the indices of the entries of each term in it."""
         K, (one, other) = self.K, (self.B.columns[pair] for pair in self.pairs)
         n, diagonal = K.shape[0], np.arange(K.shape[0])
         rows = np.concatenate([K.rows, K.columns, diagonal, one])
@@ -214,13 +212,13 @@ class ConstrainedPattern:
 
     @cached_property
     def fronts(self) -> Fronts:
-        """L D L^T in this order, in which no multiplier is eliminated before its coordinates."""
+        """Multifrontal L D L^T in this order, in which multipliers follow their coordinates."""
         order = np.empty(self.size, dtype=np.int64)
         order[self.place] = np.arange(self.size)
         return Fronts(self.squared[0], self.B, order)
 
     def matrix(self, *values: Array) -> scipy.sparse.csc_array:
-        """Return the sum of entries of K, of K^T, a diagonal, of B, of B^T and of B^T B."""
+        """Return the sum of given entries of K, K^T, a diagonal, B, B^T and B^T B, compressed."""
         flat, (to, rows, first) = np.concatenate(values), self._entries
         data = np.bincount(to, flat.real, minlength=len(rows))
         if flat.dtype.kind == "c":
@@ -228,7 +226,7 @@ class ConstrainedPattern:
         return scipy.sparse.csc_array((data, rows, first), shape=(self.size, self.size))
 
     def scaled(self, K: Array, B: Array, diagonal: Array) -> ConstrainedMatrix:
-        """Return a matrix measured against a positive diagonal, rows of B of length one."""
+        """Return the matrix scaled by a positive diagonal, with rows of B of length one."""
         scale = 1.0 / np.sqrt(diagonal)
         K = K * scale[self.K.rows] * scale[self.K.columns]
         B = B * scale[self.B.columns]
@@ -237,7 +235,7 @@ class ConstrainedPattern:
 
 
 def _pairs(B: SparsityPattern) -> tuple[Array, Array]:
-    """Return all pairs of entries that stand in one row."""
+    """Return all pairs of entries of B in the same row, as two arrays of indices."""
     first, _ = B.places
     count = np.diff(first)[B.rows]
     one = np.repeat(np.arange(B.size), count)
@@ -248,7 +246,7 @@ def _pairs(B: SparsityPattern) -> tuple[Array, Array]:
 @final
 @dataclass(frozen=True)
 class ConstrainedMatrix:
-    """Values of K (n x n) and of constraints B (m x n), measured against a diagonal."""
+    """Values of K (n x n) and of constraints B (m x n), scaled by a positive diagonal."""
 
     pattern: ConstrainedPattern
     K: Array
@@ -256,15 +254,15 @@ class ConstrainedMatrix:
 
     @cached_property
     def skewness(self) -> float:
-        """Bound of what the part of K that is not symmetric adds to eigenvalues."""
+        """Bound of the contribution of the skew-symmetric part of K to eigenvalues."""
         K = self.pattern.K.csr(self.K)
         return 0.5 * float(np.max(abs(K - K.T).sum(axis=1), initial=0.0))
 
     def below(self, sigma: float) -> int | None:
         """Return how many eigenvalues of the symmetric part of K are less than -sigma.
 
-        None where round-off could move one by more than sigma/2, or decides the sign of the pivot
-        of a multiplier, as where constraints nearly depend on each other.
+        None if round-off could move one by more than sigma/2, or decides the sign of the pivot of a
+        multiplier, as where constraints are nearly dependent.
         """
         # The analysis of fronts costs more than a factorisation in a band.
         if self.pattern.wide and self._all_above(-sigma):
@@ -290,11 +288,11 @@ class ConstrainedMatrix:
         return int(np.sum(pivots < 0)) - len(m), float(np.max(reach))
 
     def definite(self, sigma: float) -> bool:
-        """Whether all eigenvalues are proven to exceed sigma/2 > 0; only in wide patterns."""
+        """Return whether all eigenvalues provably exceed sigma/2 > 0; only in wide patterns."""
         return self.pattern.wide and self._all_above(sigma)
 
     def _all_above(self, bound: float) -> bool:
-        """Whether L D L^T by fronts proves that no eigenvalue is below the bound, up to half of it.
+        """Return whether fronts prove that no eigenvalue is below the bound, up to half of it.
 
         Fronts have -eps, 1e-7, in place of the zeros. Pivots of coordinates are positive, and
         pivots of multipliers negative, where K - bound + B^T B + B^T B / eps is positive definite.
@@ -314,7 +312,7 @@ class ConstrainedMatrix:
         return self.pattern.fronts.negative(((1.0, self._symmetric(0.0)),), self.B)
 
     def _symmetric(self, sigma: float) -> Array:
-        """Return the symmetric part of K + sigma + B^T B, shape (nnz,) of the pattern."""
+        """Return the symmetric part of K + sigma + B^T B, entries on the pattern `squared`."""
         one, other = self.pattern.pairs
         diagonal = np.full(self.pattern.K.shape[0], sigma)
         values = [0.5 * self.K, 0.5 * self.K, diagonal, self.B[one] * self.B[other]]
@@ -322,10 +320,10 @@ class ConstrainedMatrix:
         return np.bincount(to, np.concatenate(values), minlength=self.pattern.squared[0].size)
 
     def below_densely(self, sigma: float) -> int | None:
-        """Return the same of a matrix of dependent constraints, by dense matrices; None if large.
+        """Return `below` by dense matrices, also for dependent constraints; None if large.
 
-        The null space is that of the singular values of B: its rows have length one, and those
-        that round-off keeps from depending on each other leave about the root of eps.
+        Rows of B have length one; its null space has singular values below the root of eps, which
+        constraints that depend on each other within round-off also leave.
         """
         if self.pattern.K.shape[0] > _LARGE:
             return None
@@ -336,9 +334,10 @@ class ConstrainedMatrix:
         return int(np.sum(np.linalg.eigvalsh((K + K.T) / 2) < -sigma * max(1, len(K))))
 
     def is_odd(self, sigma: float) -> bool | None:
-        """Whether an odd number of real eigenvalues of K, of any kind, is less than -sigma.
+        """Return whether an odd number of real eigenvalues of K is less than -sigma.
 
-        It is the sign of the determinant. None if the matrix is singular to working precision.
+        It is the sign of the determinant; K need not be symmetric. None if the matrix is singular
+        to working precision.
         """
         lu = self._factors(sigma, symmetric=False)
         if lu is None:
@@ -359,12 +358,12 @@ class ConstrainedMatrix:
         return complex(np.sum(np.log(lu.U.diagonal() + 0j)) + 1j * np.pi * exchanges)
 
     def has_negative(self, M: Array) -> bool:
-        """Whether K x = kappa M x has a real negative eigenvalue kappa on the null space of B.
+        """Return whether K x = kappa M x has a real negative eigenvalue on the null space of B.
 
-        M, values on the pattern of K, is symmetric, positive definite and measured against the
-        same diagonal. Real parts are no less than the smallest eigenvalue -rho of the symmetric
-        part of K. So all real negative eigenvalues lie in the disc about -rho/2 through zero:
-        those next to its centre are found until one lies outside.
+        M, entries on the pattern of K, is symmetric, positive definite and scaled by the same
+        diagonal. Real parts of kappa are at least -rho, the smallest eigenvalue of the symmetric
+        part of K. All real negative eigenvalues therefore lie in the disc about -rho/2 through
+        zero: those nearest to its centre are computed until one lies outside.
         """
         K, B = self.pattern.K, self.pattern.B
         rho, count, values = self._bound(M), _AROUND, np.zeros(0)
@@ -377,22 +376,22 @@ class ConstrainedMatrix:
         kappa = values - 0.5 * rho
         noise = _ROUNDINGS * _EPS * rho
         real = np.abs(kappa.imag) <= noise
-        # Round-off splits a double one, as of a round shaft under a torque, by its root.
+        # Round-off splits a double eigenvalue, as of a round shaft under a torque, by its root.
         real |= (np.abs(kappa.imag) <= _EPS**-0.5 * noise) & (kappa.real < -np.abs(kappa.imag))
         return bool(np.any(kappa.real[real] < -noise))
 
     @property
     def seen_whole(self) -> bool:
-        """Whether `growing` looks at all motions, not at the _LOWEST alone."""
+        """Whether `growing` examines all motions, not only the _LOWEST of a large system."""
         return self.pattern.K.shape[0] - self.pattern.B.shape[0] <= WHOLE
 
     def growing(self, M: Array) -> complex | None:
         """Return s, Im s > 0, of the vibration x e^{st} that grows fastest, K x = -s^2 M x.
 
-        None if no kappa = -s^2 is complex, of all or of the _LOWEST of a large system. Round-off e
-        splits a double kappa by its root. Beyond the _LOWEST a vibration counts that grows by more
-        than WEAK of its frequency: waves of single elements may grow by less, and any damping
-        holds them.
+        None if no kappa = -s^2 is complex, of all motions or of the _LOWEST of a large system.
+        Round-off e splits a double kappa by its root. Beyond the _LOWEST only a vibration counts
+        that grows by more than WEAK times its frequency: waves of single elements may grow by less,
+        and any damping suppresses them.
         """
         if self.seen_whole:
             kappa, error = spectrum(*self._within(M))
@@ -410,7 +409,7 @@ class ConstrainedMatrix:
         return complex(max(np.where(s.imag < 0, np.conj(s), s), key=np.real)) if len(s) else None
 
     def _bound(self, M: Array) -> float:
-        """Return a number rho with which the symmetric part of K + rho M is positive definite."""
+        """Return a number rho for which the symmetric part of K + rho M is positive definite."""
         largest = float(np.max(np.abs(M)))
         for rho in _EPS / largest * 16.0 ** np.arange(_BOUNDS):
             moved, size = replace(self, K=self.K + rho * M), 1.0 + rho * largest
@@ -419,7 +418,7 @@ class ConstrainedMatrix:
         return float(rho)
 
     def eigenvalues(self, M: Array) -> Array:
-        """Return all eigenvalues of K x = kappa M x, the smallest with most digits."""
+        """Return all eigenvalues of K x = kappa M x, the smallest with the most digits."""
         matrices = self._within(M)
         try:
             inverse = np.linalg.eigvals(np.linalg.solve(*matrices))
@@ -428,7 +427,7 @@ class ConstrainedMatrix:
         return np.asarray(1.0 / inverse[inverse != 0], dtype=complex)
 
     def _within(self, M: Array) -> list[Array]:
-        """Return K and M, dense, on the null space of B."""
+        """Return K and M restricted to the null space of B, as dense matrices."""
         matrices = [self.pattern.K.dense(x) for x in (self.K, M)]
         if not len(self.B):
             return matrices
@@ -436,7 +435,7 @@ class ConstrainedMatrix:
         return [Z.T @ x @ Z for x in matrices]
 
     def nearest(self, M: Array, count: int) -> Array:
-        """Return the eigenvalues of K x = kappa M x that are nearest to zero, by Arnoldi."""
+        """Return the `count` eigenvalues of K x = kappa M x nearest to zero, by Arnoldi."""
         lu = self._factors(0.0, symmetric=False)
         if lu is None:  # Zero is an eigenvalue.
             return np.zeros(1, dtype=complex)
@@ -457,7 +456,7 @@ class ConstrainedMatrix:
         return np.asarray(1.0 / values)
 
     def _factors(self, sigma: float, symmetric: bool) -> Any | None:
-        """Factorise K + sigma or its symmetric part with B; None where that is singular."""
+        """Factorise K + sigma, or its symmetric part, with B; None if it is singular."""
         parts = (0.5 * self.K, 0.5 * self.K) if symmetric else (self.K, 0 * self.K)
         one, other = self.pattern.pairs
         diagonal, squares = np.full(self.pattern.K.shape[0], sigma), self.B[one] * self.B[other]
@@ -470,7 +469,7 @@ class ConstrainedMatrix:
 
 
 def spectrum(K: Array, M: Array) -> tuple[Array, Array]:
-    """Return all kappa of K x = kappa M x and their relative errors, of dense matrices.
+    """Return all kappa of K x = kappa M x, and their relative errors, for dense matrices.
 
     M is symmetric and positive definite.
     """
@@ -481,10 +480,10 @@ def spectrum(K: Array, M: Array) -> tuple[Array, Array]:
 
 
 def shifted_inverse(A: Array) -> tuple[Array, float]:
-    """Return (A + g)^-1 and g, between the smallest and the largest eigenvalue.
+    """Return (A + g)^-1 and g, between the smallest and the largest eigenvalue of A.
 
-    Eigenvalues of the inverse have the round-off of the largest: both ends then have half of the
-    digits that their ratio leaves.
+    Eigenvalues of the inverse have the round-off of its largest one: with this g both ends of the
+    spectrum lose only half of the digits of their ratio.
     """
     if not A.size:
         return A, 1.0
@@ -498,14 +497,14 @@ def shifted_inverse(A: Array) -> tuple[Array, float]:
 
 
 def shifted_back(theta: Array, g: float) -> tuple[Array, Array]:
-    """Return kappa of theta = 1 / (kappa + g) and their relative errors."""
+    """Return eigenvalues kappa = 1 / theta - g, undoing a shift and inversion, and their errors."""
     kappa = np.asarray(1.0 / theta - g, dtype=complex)
     size, error = np.abs(kappa), _EPS * np.max(np.abs(theta), initial=0.0) / np.abs(theta) ** 2
     return kappa, error / np.where(size == 0, 1.0, size)
 
 
 def _exchanges(order: Array) -> int:
-    """Return how many exchanges make a permutation, up to an even number."""
+    """Return the number of exchanges that make a permutation, up to an even number."""
     n = len(order)
     graph = scipy.sparse.csr_array((np.ones(n), order, np.arange(n + 1)), shape=(n, n))
     return n - int(scipy.sparse.csgraph.connected_components(graph)[0])

@@ -1,13 +1,13 @@
-"""Least-norm solutions of least squares with a matrix that may lack rank: its pseudo-inverse.
+"""Least-norm solutions of least squares with a matrix that may lack rank (pseudo-inverse).
 
-Small matrices K by their singular values. Large sparse ones by
+Small matrices K are solved by their singular values, large sparse ones by
 
     [ a E    K  ] [ r ]   [ b ]
     [ K^T  -a E ] [ x ] = [ 0 ],     x = (K^T K + a^2 E)^-1 K^T b,
 
-whose matrix is regular for any rank of K, and by iterative refinement: what a leaves of a
-singular value s falls by a^2 / (a^2 + s^2) a pass, and the null space of K does not enter where b
-is in the range of K; what is not brings in round-off of it, up to some 1e-2 of itself.
+whose matrix is regular for any rank of K, and by iterative refinement. The error for a singular
+value s falls by a^2 / (a^2 + s^2) in each iteration. The null space of K does not enter if b is in
+the range of K; the part of b outside adds round-off from the null space, up to 1e-2 of that part.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ import scipy
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.numerics.arrays import Array
 
-#: Up to this many columns singular values cost less: measured on chains of bodies.
+#: Most columns for which singular values cost less than refinement (measured on chains of bodies).
 DENSE = 150
-# Singular values below this part of the largest are round-off of zero.
+# Singular values below _RANK times the largest count as zero.
 _RANK = 1e-10
 # a over the largest entry of K: far below singular values that are not zero, far above round-off.
 _SHIFT = 1e-7
@@ -32,7 +32,7 @@ _PASSES = 20
 
 @final
 class LeastNorm:
-    """The pseudo-inverse of a real matrix K: a sparse one, or an array of few columns."""
+    """The pseudo-inverse of a real matrix K, which is sparse or has few columns."""
 
     def __init__(self, matrix: scipy.sparse.csr_array | Array) -> None:
         self._matrix, self._pinv = matrix, None
@@ -43,7 +43,7 @@ class LeastNorm:
             self._lu = _augmented(matrix)
 
     def solve(self, b: Array) -> Array:
-        """Return K^+ b for a vector, real or complex."""
+        """Return the least-norm solution K^+ b, (n,), for a real or complex vector b, (m,)."""
         if self._pinv is not None:
             product: Array = self._pinv @ b
             return product
@@ -60,9 +60,9 @@ class LeastNorm:
         return x
 
     def leaves_open(self, count: int) -> Array:
-        """Return how far solutions may move in each of the first unknowns: zero where not at all.
+        """Return how far solutions may move in each of the first `count` unknowns.
 
-        A generic vector less the part of it that K determines.
+        It is a generic vector less its part that K determines: zero where solutions are unique.
         """
         x = np.zeros(self._matrix.shape[1])
         x[:count] = np.cos(1.0 + np.arange(count) ** 2)

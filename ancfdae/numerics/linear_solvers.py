@@ -5,19 +5,19 @@
 
 Unknowns are ordered so that factors stay small, by the graph of K + B^T B, as if multipliers were
 eliminated. Each multiplier follows its last coordinate: these are then eliminated first, by pivots
-of K, and a constraint is satisfied to the round-off of its own row, not to that of a stiff body's.
-(Those of a clamp at the end of the band would widen it less behind all coordinates; frequencies of
-stiff linkages then lose three digits.)
-Where K is symmetric and positive definite, L D L^T then needs no exchange of rows: the pivots of
-coordinates are positive, those of multipliers negative. Signs do not depend on the units of the
-scene; a pivot of the wrong sign shows that K is not positive definite.
+of K, and a constraint is satisfied to the round-off of its own row, not of the row of a stiff body.
+(Multipliers of a clamp at the end of the band would widen it less behind all coordinates;
+frequencies of stiff linkages then lose three digits.) Where K is symmetric and positive definite, L
+D L^T then needs no exchange of rows: the pivots of coordinates are positive, those of multipliers
+negative. Signs do not depend on the units of the scene; a pivot of the wrong sign shows that K is
+not positive definite.
 
-Such a matrix, and one that is not symmetric, is scaled symmetrically, coordinates by
-1/sqrt(weight) and constraints so that their scaled rows have the size of the largest scaled entry
-of K (pivoting then depends neither on the units nor on the length of a step), and factorised with
-exchanges, as a band. Where the band is wide (trees, nets and frames of bodies) symmetric matrices
-are factorised by fronts, in an order with little fill (`fronts`), and others by SuperLU: after an
-order of minimum degree, or of its own choice of columns where that fills less (nets).
+Matrices with such a pivot, and unsymmetric ones, are scaled symmetrically: coordinates by
+1/sqrt(weight), and constraints so that their scaled rows have the size of the largest scaled entry
+of K. Pivoting then depends neither on the units nor on the step size. They are factorised with row
+exchanges, as a band. If the band is wide (trees, nets and frames of bodies) symmetric matrices are
+factorised by fronts, in an order with little fill (`fronts`). Others are factorised by SuperLU, in
+an order of minimum degree, or in its own order of columns if that fills less (nets).
 """
 
 from __future__ import annotations
@@ -27,28 +27,38 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, final
+from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
 import scipy
 
 from ancfdae.errors.kinds import SingularMatrix
-from ancfdae.kernels import (
-    Factorise,
-    MatrixLayout,
-    band_factor,
-    band_solve,
-    ldl_factor,
-    ldl_solve,
-    narrow_order,
-)
+from ancfdae.kernels import Band, Envelope, FrontPlan, narrow_order
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.inertia import ConstrainedPattern, Fronts, Terms
 from ancfdae.numerics.patterns import SparsityPattern
 
+#: Factorises a matrix for a `Model`: of terms, each a number and values of K, whose sum counts, and
+#: of B it makes a function of a right side and whether the matrix is transposed; None if the matrix
+#: is singular.
+Factorise: TypeAlias = Callable[[Terms, Array], Callable[[Array, bool], Array] | None]
+
+
+class MatrixLayout(NamedTuple):
+    """Order and scale of the unknowns, and where values stand: in an envelope, a band or fronts."""
+
+    order: Array
+    scale: Array
+    envelope: Envelope | None
+    band: Band | None
+    fronts: FrontPlan | None = None
+
 
 def little_fill(pattern: SparsityPattern, constraint_pattern: SparsityPattern) -> Array:
-    """Return the order of minimum degree: SuperLU's, found where it factorises a made-up matrix."""
+    """Return an order of the n + m unknowns by minimum degree, multipliers behind coordinates.
+
+    SuperLU computes it when it factorises a diagonally dominant matrix of this pattern.
+    """
     graph = _graph(pattern, constraint_pattern).astype(float)
     # Diagonal pivots need no exchange.
     diagonal = scipy.sparse.diags_array(1.0 + graph.sum(axis=1))
@@ -61,13 +71,13 @@ def little_fill(pattern: SparsityPattern, constraint_pattern: SparsityPattern) -
 
 
 def _graph(pattern: SparsityPattern, constraint_pattern: SparsityPattern) -> scipy.sparse.csr_array:
-    """Return K + B^T B with logical values."""
+    """Return the pattern of K + B^T B as a sparse matrix of logical values."""
     K, B = (each.csr(np.ones(each.size, dtype=bool)) for each in (pattern, constraint_pattern))
     return (K + B.T @ B).tocsr() if B.nnz else K
 
 
 def _with_multipliers(order: Array, constraint_pattern: SparsityPattern) -> Array:
-    """Insert each multiplier behind its last coordinate."""
+    """Return an order with each multiplier inserted behind its last coordinate, (n + m,)."""
     n = len(order)
     place = np.zeros(n + constraint_pattern.shape[0], dtype=np.int32)
     place[order] = np.arange(n)
@@ -77,10 +87,11 @@ def _with_multipliers(order: Array, constraint_pattern: SparsityPattern) -> Arra
     return np.argsort(place, kind="stable")
 
 
-# Half-width at which a band takes as long as SuperLU (docs/measurements.md, "Linear algebra").
+# Half-width of a band whose factorisation takes as long as SuperLU (docs/measurements.md, "Linear
+# algebra").
 _BAND_HALF_WIDTH = 64
-# Rows are exchanged where a pivot is below a tenth of its column's largest: in the order as given,
-# or in that of SuperLU, where it chooses columns.
+# Options of SuperLU, which exchanges rows where a pivot is below a tenth of its column's largest
+# entry: in the given order, or in SuperLU's own order of columns.
 _IN_ORDER: dict[str, Any] = {
     "permc_spec": "NATURAL",
     "diag_pivot_thresh": 0.1,
@@ -90,7 +101,7 @@ _IN_ORDER: dict[str, Any] = {
 _BY_COLUMNS: dict[str, Any] = {"permc_spec": "COLAMD", "diag_pivot_thresh": 0.1}
 
 
-# Residual of rough solutions.
+# Largest relative residual of `Factorization.rough`.
 _ROUGH = 1e-13
 
 
@@ -99,8 +110,8 @@ _ROUGH = 1e-13
 class Factorization:
     """A factorised matrix; right-hand sides are vectors or columns of an array.
 
-    `solver` takes one of them, and whether the matrix is to be transposed. `rough`, if there is
-    one, is cheaper, with residuals of up to _ROUGH.
+    `solver` takes right-hand sides, and whether the matrix is to be transposed. `rough`, if not
+    None, is cheaper, with relative residuals of up to _ROUGH.
     """
 
     solver: Callable[[Array, bool], Array]
@@ -111,20 +122,20 @@ class Factorization:
         return self.solver(right, False)
 
     def solve_roughly(self, right: Array) -> Array:
-        """Return the solution to twelve digits or more, (n,) or (n, k)."""
+        """Return the solution for right-hand sides, (n,) or (n, k), to twelve digits or more."""
         return self.rough(right) if self.rough else self.solve(right)
 
     def solve_transposed(self, right: Array) -> Array:
-        """Solve with the transposed (not conjugated) matrix."""
+        """Return the solution of the transposed (not conjugated) matrix, (n,) or (n, k)."""
         return self.solver(right, True)
 
 
 class _Storage(abc.ABC):
-    """Indices of the values of K, B and B^T in a stored matrix, and its factorisation."""
+    """Positions of the values of K, B and B^T in a stored matrix, and its factorisation."""
 
     @abc.abstractmethod
     def factor(self, K: Array, B: Array) -> Factorization:
-        """Factorise the matrix of these values.
+        """Return the factorisation of the matrix with these values of K and B.
 
         Raises SingularMatrix if it is singular to working precision or not finite.
         """
@@ -135,8 +146,8 @@ class SaddlePoint:
     """Saddle-point matrices of one system: constant patterns of K and B, numbering and scaling.
 
     The weights of the coordinates, (n,), are positive, usually the diagonal of the mass matrix;
-    the rows of constraints are scaled by the values of B at the start. K is symmetric where that
-    is said. Where an order of the unknowns is given they stand in a band in that order.
+    rows of constraints are scaled by the values of B at the start. `symmetric` says that K is
+    symmetric. If an `order` of the unknowns is given they are stored as a band in that order.
     """
 
     def __init__(
@@ -163,12 +174,12 @@ class SaddlePoint:
 
     @property
     def size(self) -> int:
-        """Number of unknowns: coordinates and multipliers."""
+        """Number of unknowns of the matrix, coordinates and multipliers."""
         return len(self.scale)
 
     @property
     def _n(self) -> int:
-        """Number of coordinates."""
+        """Number of coordinates, the size of K."""
         return self._patterns[0].shape[0]
 
     @property
@@ -178,7 +189,7 @@ class SaddlePoint:
 
     @cached_property
     def parts(self) -> tuple[int, Array]:
-        """Number of parts that nothing joins, and the part of each coordinate, shape (n,)."""
+        """Number of disconnected parts of the graph, and the part of each coordinate, (n,)."""
         K, B = self._patterns
         rows, columns = np.append(K.rows, self._n + B.rows), np.append(K.columns, B.columns)
         graph = scipy.sparse.csr_array((np.ones(len(rows)), (rows, columns)), (self.size,) * 2)
@@ -186,22 +197,24 @@ class SaddlePoint:
         return int(count), part[: self._n]
 
     def layout(self, band: bool) -> MatrixLayout | None:
-        """Return the positions of values, in a band where requested; None if it is too wide."""
+        """Return the positions of values in envelope and band; None if the band is too wide.
+
+        The band is included if `band` is True or there is no envelope.
+        """
         if not self._in_band:
             return None
-        band_map = self._band.arrays if band or not self._envelope else None
-        envelope = self._envelope.arrays if self._envelope else None
-        return MatrixLayout(self._places.order, self.scale, envelope, band_map)
+        band_map = self._band.band if band or not self._envelope else None
+        return MatrixLayout(self._places.order, self.scale, self._envelope, band_map)
 
     def layout_out_of_band(self) -> MatrixLayout:
-        """Return the positions of values in fronts; none at all unless K is symmetric."""
+        """Return the layout of the matrix in fronts; without fronts unless K is symmetric."""
         if not self._symmetric:
             return MatrixLayout(np.arange(self.size), self.scale, None, None)
         fronts = self._places.fronts
-        return MatrixLayout(fronts.order, self.scale, None, None, fronts.layout)
+        return MatrixLayout(fronts.order, self.scale, None, None, fronts.plan)
 
     def exchanging(self, layout: MatrixLayout) -> Factorise | None:
-        """Return a function that factorises if a layout has no place for that; else None."""
+        """Return a function that factorises where the layout stores no band or envelope."""
         return None if layout.band or layout.envelope else self._solver_of
 
     def _solver_of(self, terms: Terms, B: Array) -> Callable[[Array, bool], Array] | None:
@@ -212,25 +225,25 @@ class SaddlePoint:
             return None
 
     def factor(self, K: Array, B: Array) -> Factorization:
-        """Factorise for the given values of K and B.
+        """Return the factorisation for the given values of K and B.
 
-        Raises SingularMatrix for one that is singular to working precision or not finite.
+        Raises SingularMatrix if the matrix is singular to working precision or not finite.
         """
         return self.factor_sum(((1.0, K),), B)
 
     def factor_sum(self, terms: Terms, B: Array) -> Factorization:
-        """Factorise for a sum K of at most three terms, each a number and values.
+        """Return the factorisation for a sum K of at most three terms, each a factor and values.
 
-        Raises SingularMatrix as `factor`.
+        Raises SingularMatrix as `factor` does.
         """
         if self._envelope:
-            factors = self._envelope.factor(terms, B)
+            factors = _factor_in_envelope(self._envelope, terms, B)
         else:
             factors = self._factor_by_fronts(terms, B)
         return factors or self._exchanging(terms, B)
 
     def _exchanging(self, terms: Terms, B: Array) -> Factorization:
-        """Return a factorisation with row exchanges of the sum of terms and B."""
+        """Return a factorisation with row exchanges for K, the sum of `terms`, and B."""
         (s, K), *more = terms
         K = K if s == 1.0 else s * K
         for s, values in more:
@@ -238,14 +251,14 @@ class SaddlePoint:
         return self._storage.factor(K, B)
 
     def _factor_by_fronts(self, terms: Terms, B: Array) -> Factorization | None:
-        """Factorise a symmetric real matrix whose band is wide; None where it is not definite."""
+        """Factorise a real symmetric matrix with a wide band; None where K is not definite."""
         is_complex = B.dtype.kind == "c" or any(K.dtype.kind == "c" for _, K in terms)
         if self._in_band or not self._symmetric or is_complex:
             return None
         solve = self._places.fronts.factor(terms, B)
         if solve is None:
             return None
-        # Values may be written again after this call.
+        # Copies, because the caller may overwrite the arrays.
         kept = tuple((s, K.copy()) for s, K in terms), B.copy()
         exchanging: list[Factorization] = []
 
@@ -275,7 +288,7 @@ class SaddlePoint:
 
 @final
 class _Places:
-    """An order of the unknowns; rows and columns of all entries in it: of K, of B, and of B^T."""
+    """An order of the unknowns, and rows and columns in it of the entries of K, B and B^T."""
 
     def __init__(self, K: SparsityPattern, B: SparsityPattern, order: Array) -> None:
         place = np.empty(len(order), dtype=np.int32)
@@ -287,18 +300,18 @@ class _Places:
         self.half_width = int(np.max(np.abs(self.rows - self.columns), initial=0))
 
     @cached_property
-    def envelope(self) -> _Envelope:
+    def envelope(self) -> Envelope:
         """Indices of the entries in an envelope."""
-        return _Envelope(self.order, self.rows, self.columns, *self._sizes)
+        return _envelope(self.order, self.rows, self.columns, *self._sizes)
 
     @cached_property
     def fronts(self) -> Fronts:
-        """The elimination in an order with little fill, whatever this order."""
+        """Multifrontal elimination in an order with little fill, which is not the band's order."""
         return Fronts(*self._patterns)
 
     @cached_property
     def sparse(self) -> _Places:
-        """Places of entries in an order of minimum degree, whatever this order."""
+        """Positions of entries in an order of minimum degree, independent of this order."""
         return _Places(*self._patterns, little_fill(*self._patterns))
 
     @cached_property
@@ -309,7 +322,7 @@ class _Places:
 
     @cached_property
     def flat(self) -> Array:
-        """Indices of the entries in LAPACK's band with room for fill-in.
+        """Indices of the entries in LAPACK's band storage with space for fill-in.
 
         Entry (i, j) is at row 2 k + i - j of column j.
         """
@@ -319,83 +332,66 @@ class _Places:
 
 
 def _narrow(K: SparsityPattern, B: SparsityPattern) -> _Places:
-    """Return the places in a narrow band."""
-    # The matrices of one system have the same patterns: that of K keeps the places beside the last
-    # two B. (A dictionary of weak references has callbacks, and Ctrl-C in a callback is lost.)
+    """Return the order of the unknowns in a narrow band, and positions of entries in it."""
+    # The matrices of one system have the same patterns: the pattern of K stores the places for the
+    # last two B. (A dictionary of weak references has callbacks, and Ctrl-C in a callback is lost.)
     known = K.beside
     for other, places in known:
         if other is B:
             return places
-    # Reverse Cuthill and McKee, or the order of the scene where that is better.
+    # Reverse Cuthill-McKee order, or the order of the scene where its band is narrower.
     places = _Places(K, B, narrow_order(*K.places, *B.places))
     K.beside = (B, places), *known[:1]
     return places
 
 
-@final
-class _Envelope:
-    """L D L^T of symmetric K: the lower triangle, each column from its diagonal to its end.
+def _envelope(order: Array, rows: Array, columns: Array, n: int, n_K: int, n_B: int) -> Envelope:
+    """Return L D L^T of symmetric K: the lower triangle, each column from its diagonal to its end.
 
     A column ends with its last entry, but not before the one to its left, so that the factors fill
-    the same places.
+    the same places. Places of entries of B^T are left out.
     """
+    size = len(order)
+    lower = rows >= columns
+    lower[n_K : n_K + n_B], lower[n_K + n_B :] = True, False
+    row, column = rows[lower], columns[lower]
+    end = np.arange(size)
+    np.maximum.at(end, column, row)
+    starts = np.append(0, np.cumsum(np.maximum.accumulate(end) - np.arange(size) + 1))
+    first, chosen = starts.astype(np.int32), np.flatnonzero(lower[:n_K]).astype(np.int32)
+    signs = np.where(order < n, 1.0, -1.0)
+    return Envelope(first, chosen, first[column] + row - column, signs, order)
 
-    def __init__(
-        self, order: Array, rows: Array, columns: Array, n: int, n_K: int, n_B: int
-    ) -> None:
-        """Take the places of all entries: of K, of B, and of B^T, which is left out."""
-        size = len(order)
-        lower = rows >= columns
-        lower[n_K : n_K + n_B], lower[n_K + n_B :] = True, False
-        row, column = rows[lower], columns[lower]
-        end = np.arange(size)
-        np.maximum.at(end, column, row)
-        first = np.append(0, np.cumsum(np.maximum.accumulate(end) - np.arange(size) + 1))
-        self._order, self._first = order, first.astype(np.int32)
-        self._chosen = np.flatnonzero(lower[:n_K]).astype(np.int32)
-        self._places = self._first[column] + row - column
-        self._signs = np.where(order < n, 1.0, -1.0)
 
-    @property
-    def arrays(self) -> tuple[Array, Array, Array, Array]:
-        """Return starts of columns, chosen values of K, places of K and B, signs of pivots."""
-        return self._first, self._chosen, self._places, self._signs
-
-    def factor(self, terms: Terms, B: Array) -> Factorization | None:
-        """Factorise; None where a pivot has not its sign."""
-        factors, failed = ldl_factor(terms, B, self._chosen, self._places, self._first, self._signs)
-        known = factors, self._first, self._order
-        return None if failed else Factorization(lambda right, _: ldl_solve(*known, right.T).T)
+def _factor_in_envelope(envelope: Envelope, terms: Terms, B: Array) -> Factorization | None:
+    """Factorise; None where a pivot has not its sign."""
+    factors, failed = envelope.factor(terms, B)
+    return None if failed else Factorization(lambda right, _: envelope.solve(factors, right.T).T)
 
 
 def _balanced(scale: Array, n: int, of_B: float) -> Array:
-    """Return the scale of n coordinates and of multipliers where B is scaled by a number."""
+    """Return the scales of n coordinates and of multipliers where B is multiplied by `of_B`."""
     return scale if of_B == 1.0 else np.concatenate([scale[:n], of_B * scale[n:]])
 
 
 @final
 class _BandStorage(_Storage):
     def __init__(self, scale: Array, n: int, places: _Places) -> None:
-        self._scale, self._n, self._order = scale, n, places.order
-        self._half_width, self._flat = places.half_width, places.flat
+        self._scale, self._n = scale, n
         numbered = scale[places.order]
-        self._factors = numbered[places.rows] * numbered[places.columns]
-
-    @property
-    def arrays(self) -> tuple[int, Array, Array]:
-        """Half width, places of all values, and what scales them."""
-        return self._half_width, self._flat, self._factors
+        factors = numbered[places.rows] * numbered[places.columns]
+        #: Places of all values, and what scales them.
+        self.band = Band(places.half_width, places.flat, factors, places.order)
 
     def factor(self, K: Array, B: Array) -> Factorization:
-        size, half_width = len(self._order), self._half_width
-        lu, pivots, of_B, info = band_factor(K, B, self._factors, self._flat, size, half_width)
+        lu, pivots, of_B, info = self.band.factor(K, B)
         if info > 0:
-            raise SingularMatrix(f"zero pivot {info} of {size}")
+            raise SingularMatrix(f"zero pivot {info} of {len(pivots)}")
         if info < 0:
             raise SingularMatrix("the saddle-point matrix is not finite")
-        known = lu, pivots, half_width, self._order, _balanced(self._scale, self._n, of_B)
+        solve, known = self.band.solve, (lu, pivots, _balanced(self._scale, self._n, of_B))
         # Right-hand sides as rows of an array, one after the other in memory.
-        return Factorization(lambda right, turned: band_solve(*known, right.T, turned).T)
+        return Factorization(lambda right, turned: solve(*known, right.T, turned).T)
 
 
 @final

@@ -1,13 +1,15 @@
-"""Formulas of NumPy as lists of operations on single numbers, which a kernel evaluates.
+"""Formulas written with NumPy as lists of scalar operations, which a kernel evaluates.
 
 Two kinds of tracers write such a list when a formula runs on them. `Listed` stands for a whole
 array, in the formulas of loads. `Traced` stands for one number: arrays of dtype object hold
-tracers, so that any code of NumPy that moves numbers about and computes with them runs unchanged.
+tracers, so that any NumPy code that rearranges numbers and computes with them runs unchanged.
 
-**Derivatives** are more operations of the same list (`Operations.along`). Of an operation
-z = f(x, y) it writes z' = f_x x' + f_y y', where x' and y' are numbers of the list as well, zero
-for what the direction does not move. What it returns can be differentiated again. A kernel holds
-and differentiates the list (`kernels/trace.h`).
+**Derivatives** are more operations of the same list (`Operations.along`). For an operation z = f(x,
+y) it writes z' = f_x x' + f_y y', where x' and y' are numbers of the list as well, zero for inputs
+that the direction does not change. The result can be differentiated again. A kernel stores and
+differentiates the list (`kernels/trace.h`).
+
+A *number* of the list is the index of an input, a constant or a result.
 """
 
 from __future__ import annotations
@@ -26,10 +28,10 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.complex_step import FAILURES
 from ancfdae.numerics.vector_formulas import Carried, StandIn, without_derivatives
 
-#: Functions that are none of NumPy: the angle of two numbers, what is positive of a number and
-#: whether it is.
+#: Functions that are not NumPy's: the angle of two numbers, the positive part of a number (else 0),
+#: and 1 for positive numbers (else 0).
 ANGLE, POSITIVE, STEP = "angle", "positive", "step"
-# In the order of `kernels/load_plan.h`.
+# Functions of two numbers and of one, in the order of `kernels/load_plan.h`.
 _OF_TWO = (np.add, np.subtract, np.multiply, np.divide, ANGLE, np.power)
 _OF_ONE = (np.negative, np.sqrt, np.exp, np.log, np.sin, np.cos, np.tan, np.sinh, np.cosh, np.tanh)
 _CODES: dict[Any, int] = {
@@ -38,46 +40,51 @@ _CODES: dict[Any, int] = {
         (*_OF_TWO, *_OF_ONE, np.arctan, np.square, np.reciprocal, POSITIVE, STEP)
     )
 }
-# Calls of functions that are no operations, and their results.
+# Codes of calls of functions that are not operations, and of their results.
 _CALL, _RESULT = "call", "result"
 _CODES |= {_CALL: len(_CODES), _RESULT: len(_CODES) + 1}
 _FUNCTIONS = tuple(_CODES)
-# Whole exponents up to this are written as products (`kernels/trace.h`).
+# Integer exponents up to this are written as products (`kernels/trace.h`).
 _PRODUCTS = 64
-# Folders whose lines are not a user's.
+# How formulas with kinks are written, for messages.
+_POSITIVE = "; for kinks write `positive` of ancfdae.extend, |x| as positive(x) + positive(-x)"
+# Folders of NumPy and of this package, whose lines of code are not a user's.
 _OWN = str(Path(np.__file__).parent), str(Path(__file__).parents[1])
 
 
 class Callee(Protocol):
-    """A function that a list calls: rows of inputs, (k, n), give rows of values, (k, size)."""
+    """A function that a list calls: rows of inputs, (k, n), to rows of values, (k, size)."""
 
     @property
     def size(self) -> int:
-        """How many numbers it returns."""
+        """Number of values that the called function returns."""
 
     def __call__(self, rows: Array, /) -> Array:
-        """Return the values of rows of inputs, shape (k, size)."""
+        """Return the values of the function at rows of inputs, shape (k, size)."""
 
     def rates(
         self, operations: Operations, numbers: Sequence[int], rates: Mapping[int, int]
     ) -> Array | None:
-        """Return numbers of the derivatives from rates of the inputs; None if nothing moves."""
+        """Return the numbers, (size,), of rates of the values from rates of inputs, or None.
+
+        None means that no input changes.
+        """
 
 
 @final
 class Operations:
-    """A list of operations on `n_inputs` inputs and on constants, which a kernel writes.
+    """A list of operations on `n_inputs` inputs and on constants, written by a kernel.
 
-    Numbers are inputs, from 0 on, results, from `n_inputs` on, and constants, from -1 down.
+    Inputs have the numbers from 0 on, results from `n_inputs` on, and constants from -1 down.
     """
 
     def __init__(self, n_inputs: int) -> None:
         self._n_inputs = n_inputs
-        #: The list itself (`kernels/trace.h`).
+        #: The list of operations in the kernel (`kernels/trace.h`).
         self.trace = OperationTrace(n_inputs)
         self._calls: list[tuple[Callee, tuple[int, ...]]] = []
         self._called: dict[tuple[int, ...], int] = {}
-        #: Roots and powers with broken exponents, with the line of the user's code that takes each.
+        #: Numbers of roots and powers with fractional exponents, with the user's line of code.
         self.roots: dict[int, str] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -104,21 +111,21 @@ class Operations:
         self.roots = state["roots"]
 
     def constant(self, value: Any) -> int:
-        """Return the number of a constant."""
+        """Return the number of a constant, which is added to the list if it is new."""
         x = complex(value)
         return self.trace.constant(x.real, x.imag)
 
     def value(self, number: int) -> Any:
-        """Return the value of a constant."""
+        """Return the value of the constant with this number in the list."""
         real, imaginary = self.trace.value(number)
         return complex(real, imaginary) if imaginary else real
 
     def apply(self, function: Any, *numbers: int) -> int:
-        """Return the number of a result; what is known already is not listed again."""
+        """Return the number of a result; an operation that is in the list is not added again."""
         return self.trace.apply(_CODES[function], numbers[0], numbers[-1])
 
     def call(self, function: Callee, numbers: Sequence[int]) -> Array:
-        """Return the numbers of what a function returns, (size,)."""
+        """Return the numbers, (size,), of the values that a call of the function returns."""
         key = id(function), *numbers
         at = self._called.get(key)
         if at is None:
@@ -129,7 +136,7 @@ class Operations:
     def along(self, outputs: Array, *directions: Mapping[int, int]) -> list[Array]:
         """Return numbers of the derivatives of outputs along each direction.
 
-        A direction maps inputs to the numbers at which they change; other inputs are held.
+        A direction maps inputs to the numbers of their rates; other inputs are fixed.
         """
         rates = np.full((len(directions), self._n_inputs), self.constant(0.0), dtype=np.int32)
         for row, direction in zip(rates, directions, strict=True):
@@ -138,17 +145,17 @@ class Operations:
         return list(found.astype(np.int64).reshape(len(directions), *outputs.shape))
 
     def _rates_of_call(self, index: int, moved: Array) -> Array:
-        """Return rates of the results of a call, (size,), from rates of inputs; (0,) at rest."""
+        """Return rates, (size,), of the results of a call from rates of inputs; (0,) for zero."""
         function, numbers = self._calls[index]
         found = function.rates(self, numbers, dict(zip(numbers, moved.tolist(), strict=True)))
         return _numbers([] if found is None else found)
 
     def partials(self, output: int) -> dict[int, int]:
-        """Return the numbers of the partials of one output, by the inputs that it follows from.
+        """Return the numbers of the partials of one output, by the inputs on which it depends.
 
-        Written from the output back to the inputs: a few times as many operations as the output
-        has, for any number of inputs. Where the list calls functions, along one input after the
-        other.
+        They are written from the output back to the inputs (reverse mode): a few times as many
+        operations as the output has, for any number of inputs. If the list calls functions, one
+        input after another is differentiated forward.
         """
         outputs = np.array([output])
         used = sorted(self.inputs(outputs))
@@ -159,36 +166,36 @@ class Operations:
         return {x: partials[x] for x in used}
 
     def inputs(self, outputs: Array) -> set[int]:
-        """Return the inputs that outputs follow from."""
+        """Return the inputs of the list on which outputs depend."""
         return set(self.trace.inputs(_numbers(outputs)).tolist())
 
     def calls(self, outputs: Array) -> bool:
-        """Whether outputs follow from a call."""
+        """Return whether outputs depend on a call of a function."""
         return bool(np.any(self.trace.rows(_numbers(outputs))[:, 1] == _CODES[_CALL]))
 
     def rows(self, outputs: Array) -> list[tuple[int, Any, int, int]]:
-        """Return the operations that outputs follow from: numbers, functions and arguments."""
+        """Return the operations on which outputs depend: numbers, functions and arguments."""
         rows = self.trace.rows(_numbers(outputs)).tolist()
         return [(number, _FUNCTIONS[code], x, y) for number, code, x, y in rows]
 
     def arrays(self, results: Array) -> tuple[Array, ...]:
-        """Return constants, operations with both their numbers, and results; of formulas of loads.
+        """Return constants, operations with both arguments, and results, for formulas of loads.
 
-        Numbers are counted in the order of inputs, constants and results of operations. What
-        results do not follow from is left out.
+        Inputs, constants and results of operations are numbered in this order. Operations that no
+        result needs are left out.
         """
         ahead = _numbers(np.arange(self._n_inputs))
         constants, *arrays = self.trace.placed(_numbers(results), ahead)[:5]
         return constants if np.any(constants.imag) else constants.real.copy(), *arrays
 
     def order(self, numbers: Array, results: Array) -> list[int]:
-        """Return the places, ascending, of numbers among the operations that results need."""
+        """Return the ascending positions of `numbers` among the operations that results need."""
         needed = self.trace.rows(_numbers(results))[:, 0].tolist()
         places = {number: place for place, number in enumerate(needed)}
         return sorted(places[x] for x in numbers.ravel().tolist() if x in places)
 
     def compiled(self, outputs: Array, inputs: Sequence[int] | Array) -> OperationList:
-        """Return what evaluates real outputs at given inputs; outputs follow from no other."""
+        """Return a list that evaluates real outputs, which depend on the given inputs alone."""
         placed = self.trace.placed(_numbers(outputs), _numbers(inputs))
         constants, op, a, b, to, calls, functions = placed
         called = tuple(self._calls[i][0] for i in functions.tolist())
@@ -197,27 +204,27 @@ class Operations:
 
 
 def _numbers(numbers: Any) -> Array:
-    """Return numbers of a list as kernels take them, (k,)."""
+    """Return numbers of a list as the integers that kernels take, (k,)."""
     return np.asarray(numbers, dtype=np.int32).ravel()
 
 
 @final
 class Listed(Carried):
-    """An array of numbers whose operations are listed."""
+    """An array in a formula whose operations are written to a list."""
 
     def __init__(self, operations: Operations, at: Array) -> None:
         self._operations, self.at = operations, at
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of the array of operation numbers."""
+        """Shape of the array whose operations are listed."""
         return self.at.shape
 
     def __getitem__(self, key: Any) -> Listed:
         return Listed(self._operations, self.at[key])
 
     def sum(self, axis: int, keepdims: bool = False) -> Listed:
-        """Return the sum over an axis."""
+        """Return the sum of the array over an axis, as `numpy.sum` does."""
         first, *others = np.moveaxis(self.at, axis, 0)
         total = Listed(self._operations, np.asarray(first))
         for other in others:
@@ -225,27 +232,27 @@ class Listed(Carried):
         return total[np.newaxis].moved(axis, self.at.ndim) if keepdims else total
 
     def moved(self, axis: int, n: int) -> Listed:
-        """Return the array of n axes whose first one comes at another place."""
+        """Return the array of n axes whose first axis is moved to position `axis`."""
         return Listed(self._operations, np.moveaxis(self.at, 0, axis % n))
 
     def angle(self, x: Any) -> Listed:
-        """Return the angle of (x, self)."""
+        """Return the angle of the vectors (x, self), entry by entry; rad."""
         return self._apply(ANGLE, self, x)
 
     def positive(self) -> Listed:
-        """Return the array where it is positive, else 0."""
+        """Return the array with entries that are not positive replaced by 0."""
         return self._apply(POSITIVE, self)
 
     def step(self) -> Listed:
-        """Return 1 where it is positive, else 0."""
+        """Return an array with 1 where entries are positive, else 0."""
         return self._apply(STEP, self)
 
     def joined(self, parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) -> Listed:
-        """Return the entries of several arrays as one array."""
+        """Return the entries of several arrays as one array, in the order of `join`."""
         return Listed(self._operations, join([self.numbers(x) for x in parts]))
 
     def numbers(self, x: Any) -> Array:
-        """Return the numbers of an array, whose entries are constants unless it is of this kind."""
+        """Return the operation numbers of an array; entries of a plain array become constants."""
         if isinstance(x, Listed):
             return x.at
         values = np.asarray(x)
@@ -253,9 +260,9 @@ class Listed(Carried):
         return np.array(constants, dtype=np.int64).reshape(values.shape)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
-        """List a function of NumPy.
+        """Add a function of NumPy to the list.
 
-        InvalidInputError for a function without derivatives.
+        Raises InvalidInputError for a function without derivatives.
         """
         plain = method == "__call__" and not kwargs
         if plain and ufunc is np.matmul:
@@ -283,18 +290,18 @@ class Listed(Carried):
 
 @final
 class NotTraceable(Exception):
-    """Raised by a tracer where a formula needs a number; it says what was asked."""
+    """Raised by a tracer where a formula needs the value of a number; the message says which."""
 
 
 @final
 class Traced(StandIn):
-    """A number whose operations are listed; `Symbols` are arrays of such numbers.
+    """A number in a formula whose operations are written to a list; `Symbols` are arrays of these.
 
-    NumPy calls methods of the names of its functions on the entries of such arrays.
+    NumPy calls methods with the names of its functions on the entries of such arrays.
     """
 
     __slots__ = ("at", "operations")
-    #: Kind of the arrays that hold it, so that `np.result_type` knows.
+    #: Type of the arrays that hold tracers, for `np.result_type`.
     dtype = np.dtype(object)
 
     def __init__(self, operations: Operations, at: int) -> None:
@@ -302,29 +309,29 @@ class Traced(StandIn):
 
     @staticmethod
     def array(operations: Operations, at: Array) -> Array:
-        """Return an array of tracers of numbers of the list."""
+        """Return an array of tracers of the numbers `at` of the list."""
         out = np.empty(at.shape, dtype=object)
         out.ravel()[:] = [Traced(operations, x) for x in at.ravel().tolist()]
         return out.view(Symbols)
 
     @staticmethod
     def numbers(operations: Operations, values: Any) -> Array:
-        """Return the numbers of an array or of lists of tracers and constants."""
+        """Return the operation numbers of an array or of lists of tracers and constants."""
         x = np.asarray(values)
         flat = [_number(operations, y) for y in x.ravel().tolist()]
         return np.array(flat, dtype=np.int64).reshape(x.shape)
 
     def _with(self, code: int, other: Any, reflected: bool = False) -> Any:
-        """Return an operation on this number and another one, which stands first if `reflected`."""
+        """Return an operation on this and another number, which comes first if `reflected`."""
         operations, x = self.operations, self.at
         if isinstance(other, np.ndarray):
-            return NotImplemented  # Arrays take their entries one by one.
+            return NotImplemented  # NumPy then applies the operation entry by entry.
         y = other.at if type(other) is Traced else _number(operations, other)
         at = operations.trace.apply(code, *((y, x) if reflected else (x, y)))
         return Traced(operations, at)
 
     def _of(self, code: int) -> Traced:
-        """Return an operation on this number alone."""
+        """Return the result of an operation on this number alone."""
         return Traced(self.operations, self.operations.trace.apply(code, self.at, self.at))
 
     # Arithmetic.
@@ -373,7 +380,7 @@ class Traced(StandIn):
         return (self * np.log(float(base))).exp()
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
-        """Apply a function of NumPy to this number and others, which may be plain."""
+        """Apply a function of NumPy to this number and others, which may be plain numbers."""
         return _applied(ufunc, method, inputs, kwargs)
 
     # Functions.
@@ -382,7 +389,7 @@ class Traced(StandIn):
         return self._noted(self._of(_CODES[np.sqrt]))
 
     def _noted(self, root: Traced) -> Traced:
-        """Note the line of the user's code that takes a root."""
+        """Store the line of the user's code that takes this root, for messages."""
         frame = sys._getframe(2)
         while frame.f_back is not None and frame.f_code.co_filename.startswith(_OWN):
             frame = frame.f_back
@@ -419,17 +426,17 @@ class Traced(StandIn):
         return self._of(_CODES[np.arctan])
 
     def angle(self, x: Any) -> Any:
-        """Return the angle of (x, self)."""
+        """Return the angle of the vector (x, self); rad."""
         return self._with(_CODES[ANGLE], x)
 
     arctan2 = angle
 
     def positive(self) -> Traced:
-        """Return the number where it is positive, else 0."""
+        """Return the number if it is positive, else 0."""
         return self._of(_CODES[POSITIVE])
 
     def step(self) -> Traced:
-        """Return 1 where it is positive, else 0."""
+        """Return 1 if the number is positive, else 0."""
         return self._of(_CODES[STEP])
 
     def arcsin(self) -> Traced:  # noqa: D102
@@ -441,23 +448,23 @@ class Traced(StandIn):
     def hypot(self, other: Any) -> Traced:  # noqa: D102
         return (self * self + other * other).sqrt()
 
-    # Numbers are real.
+    # Tracers stand for real numbers.
 
     @property
     def real(self) -> Traced:
-        """The number."""
+        """Real part of the traced number: the number itself."""
         return self
 
     @property
     def imag(self) -> float:
-        """Zero."""
+        """Imaginary part of the traced number: zero."""
         return 0.0
 
     def conjugate(self) -> Traced:
-        """Return the number."""
+        """Return the traced number itself, since it is real."""
         return self
 
-    # What needs its value.
+    # Operations that need the value of the number are rejected.
 
     def __bool__(self) -> bool:
         _refuse("a decision (`if`, `and`, `while`) that depends on the state or on b")
@@ -472,21 +479,23 @@ class Traced(StandIn):
     __int__ = __index__ = __complex__ = __float__
 
     def __abs__(self) -> Traced:
-        _refuse("abs, which has a kink")
+        _refuse(f"abs, which has a kink{_POSITIVE}")
 
     def __lt__(self, other: object) -> bool:
-        _refuse("a comparison of the state or of b (also within np.where, maximum, clip)")
+        _refuse(
+            f"a comparison of the state or of b (also within np.where, maximum, clip){_POSITIVE}"
+        )
 
     __le__ = __gt__ = __ge__ = __eq__ = __ne__ = __lt__
     __hash__ = None  # type: ignore[assignment]
 
 
-#: What ends a trace.
+#: Exceptions that end the tracing of a formula.
 TRACE_FAILURES = (NotTraceable, *FAILURES)
 
 
 def told(error: Exception) -> str:
-    """Return the line of a user's code at which tracing ended, and why."""
+    """Return the line of a user's code at which tracing ended, and the reason."""
     frames = traceback.extract_tb(error.__traceback__)
     lines = [x for x in frames if not x.filename.startswith(_OWN)]
     known = isinstance(error, NotTraceable)
@@ -505,15 +514,15 @@ class Symbols(np.ndarray):
         return _applied(ufunc, method, inputs, kwargs)
 
 
-# Functions that NumPy looks for among the methods of entries, which plain numbers do not have.
+# Functions that NumPy calls as methods of the entries; plain numbers lack these methods.
 _METHODS = frozenset(f for f in _CODES if isinstance(f, np.ufunc) and f.__name__ in vars(Traced))
 _METHODS |= {np.arctan2, np.arcsin, np.arccos, np.hypot}
-# Functions of single numbers that need no arrays.
+# Functions of scalars that need no arrays.
 _OF_NUMBERS = _METHODS | {np.add, np.subtract, np.multiply, np.divide}
 
 
 def _applied(ufunc: np.ufunc, method: str, inputs: Sequence[Any], kwargs: dict[str, Any]) -> Any:
-    """Return a function of NumPy of arrays of symbols."""
+    """Return a NumPy function of arrays of symbols as an array of symbols, or as a tracer."""
     single = not any(isinstance(x, np.ndarray | list | tuple) for x in inputs)
     if single and method == "__call__" and not kwargs and ufunc in _OF_NUMBERS:
         operations = next(x.operations for x in inputs if isinstance(x, Traced))
@@ -541,7 +550,7 @@ def _refuse(what: str) -> NoReturn:
 
 
 def _number(operations: Operations, x: Any) -> int:
-    """Return the number of a tracer or of a real constant."""
+    """Return the operation number of a tracer or of a real constant."""
     if isinstance(x, Traced):
         return x.at
     if isinstance(x, complex):

@@ -1,32 +1,35 @@
-"""Fixed sparsity patterns, where a matrix is a vector of values, and constant linear maps.
+"""Fixed sparsity patterns, for which a matrix is a vector of values, and constant linear maps.
 
-All matrices of a mechanical system keep their pattern during a run, so they
-are passed around as plain value vectors. That makes sums of matrices sums of
-vectors, and batched assembly one product with a constant 0/1 matrix.
+All matrices of a mechanical system keep their pattern during a run, so they are passed around as
+plain value vectors. That makes sums of matrices sums of vectors, and batched assembly one product
+with a constant 0/1 matrix.
 """
 
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 import scipy
 
-from ancfdae.kernels import Csr, csr_rows
+from ancfdae.kernels import csr_rows
 from ancfdae.numerics.arrays import Array
+
+#: A matrix in compressed sparse rows: where rows begin, columns, values.
+Csr: TypeAlias = tuple[Array, Array, Array]
 
 
 @final
 class SparsityPattern:
     """Positions of the entries of a matrix, sorted; duplicates in `rows`, `columns` are merged.
 
-    Stored is the column of every entry, with the place of the first entry of every row; rows are
-    made when first asked for: a scene of 10,000 elements has four million entries.
+    The column of every entry is stored, with the index of the first entry of every row; row indices
+    are computed when they are first needed: a scene of 10,000 elements has four million entries.
 
-    `beside` are constraint patterns that this one was factorised with, each with the places of all
-    entries in a band. `checked` are the saddle-point matrices whose constraints were last found to
-    be independent, with the numbers that say so. Copies are made without either.
+    `beside` are constraint patterns with which this one was factorised, each with the positions of
+    all entries in a band. `checked` are the saddle-point matrices whose constraints were last found
+    to be independent, with the numbers that show it. Copies of the pattern have neither.
     """
 
     beside: tuple[tuple[SparsityPattern, Any], ...] = ()
@@ -43,18 +46,18 @@ class SparsityPattern:
         self.columns = (flat % max(shape[1], 1)).astype(np.int32)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes that are pickled and copied."""
+        """Return the attributes of the pattern that are pickled and copied."""
         return {name: x for name, x in self.__dict__.items() if name not in ("beside", "checked")}
 
     @staticmethod
     def full(shape: tuple[int, int]) -> SparsityPattern:
-        """Return the pattern of a dense matrix; its values are ``matrix.ravel()``."""
+        """Return the pattern of a dense matrix, whose values are ``matrix.ravel()``."""
         rows, columns = np.indices(shape)
         return SparsityPattern(shape, rows.ravel(), columns.ravel())
 
     @property
     def size(self) -> int:
-        """Number of stored entries nnz."""
+        """Number of stored entries of the pattern, nnz."""
         return len(self.columns)
 
     @cached_property
@@ -64,19 +67,18 @@ class SparsityPattern:
 
     @cached_property
     def diagonal(self) -> Array:
-        """Indices of the diagonal in the value vector, (n,); it must be in the pattern."""
+        """Indices of the diagonal entries in the value vector, (n,); all must be present."""
         n = np.arange(self.shape[0])
         return self.index(n, n)
 
     @cached_property
     def determined(self) -> tuple[Array, Array]:
-        """The square part of the pattern, as masks of its rows and of its columns.
+        """Masks of the rows, and of the columns, of the square part of the pattern.
 
-        Of Phi_q these are the constraints and the coordinates of the part of a motion that
-        constraints determine (Dulmage & Mendelsohn 1958). A matching pairs rows with columns and
-        leaves some columns out. Paths go from a column to the rows in which it stands, and from a
-        row to its partner. The square part is not reached from the columns left out; its rows hold
-        no other columns.
+        For Phi_q these are the constraints, and the coordinates that they determine alone (Dulmage
+        & Mendelsohn 1958). A matching pairs rows with columns and leaves some columns free. Paths
+        go from a column to the rows in which it has entries, and from a row to its partner. The
+        square part is not reached from free columns; its rows have entries in no other columns.
         """
         n_rows, n = self.shape
         source = n_rows + n
@@ -94,7 +96,7 @@ class SparsityPattern:
 
     @cached_property
     def used(self) -> tuple[Array, Array]:
-        """Columns that hold entries, and the place of each entry's column among them, (nnz,)."""
+        """Columns with entries, and for each entry the index of its column among them, (nnz,)."""
         columns, places = np.unique(self.columns, return_inverse=True)
         return columns, places
 
@@ -104,7 +106,7 @@ class SparsityPattern:
         return self._first, self.columns
 
     def index(self, rows: Array, columns: Array) -> Array:
-        """Return the indices of positions in the value vector; they must be in the pattern.
+        """Return indices in the value vector, in their shape, of positions in the pattern.
 
         Rows and columns are broadcast.
         """
@@ -112,11 +114,11 @@ class SparsityPattern:
         return np.searchsorted(entries, self._flattened(rows, columns))
 
     def _flattened(self, rows: Array, columns: Array) -> Array:
-        """Return the places of entries in the dense matrix, row by row."""
+        """Return indices of entries, in their shape, in the dense matrix flattened row by row."""
         return np.asarray(rows, dtype=np.int64) * self.shape[1] + columns
 
     def gather(self, rows: Array, columns: Array, contributions: Array) -> Array:
-        """Return the values that sum contributions at the given positions."""
+        """Return the value vector, (nnz,), that sums contributions at the given positions."""
         values = np.zeros(self.size, dtype=contributions.dtype)
         np.add.at(values, self.index(rows, columns), contributions)
         return values
@@ -128,27 +130,27 @@ class SparsityPattern:
         return matrix.reshape(self.shape)
 
     def csr(self, values: Array) -> scipy.sparse.csr_array:
-        """Return the matrix in compressed sparse row form."""
+        """Return the matrix with these values as a SciPy array in compressed sparse rows."""
         return scipy.sparse.csr_array((values, self.columns, self._first), shape=self.shape)
 
     def rows_of(self, values: Array) -> Csr:
-        """Return the arrays of the matrix in compressed sparse rows."""
+        """Return the matrix with these values as the three arrays of compressed sparse rows."""
         return self._first, self.columns, values
 
     def dot(self, values: Array, x: Array) -> Array:
-        """Product of the matrix with a vector, (n_columns,), or with columns, (n_columns, k)."""
+        """Return the matrix times a vector, (n_columns,), or columns, (n_columns, k)."""
         return csr_rows(self._first, self.columns, values, x.T, None).T
 
     def dot_transposed(self, values: Array, x: Array) -> Array:
-        """Product of the transposed (not conjugated) matrix with a vector or columns."""
+        """Return the transposed (not conjugated) matrix times a vector, (n_rows,), or columns."""
         return csr_rows(self._first, self.columns, values, x.T, self.shape[1]).T
 
 
 @final
 class LinearMap:
-    """A constant matrix, shape (n, m), that is only ever multiplied with.
+    """A constant matrix, shape (n, m), that is used in products only.
 
-    `csr` are its rows: where they begin, columns and values.
+    `csr` holds its rows: starts of rows, columns and values.
     """
 
     def __init__(self, csr: Csr, width: int) -> None:
@@ -158,15 +160,15 @@ class LinearMap:
 
     @staticmethod
     def of(rows: Array, columns: Array, values: Array, shape: tuple[int, int]) -> LinearMap:
-        """Return the map with these entries; entries at the same place add."""
+        """Return the map with these entries; entries at the same position add up."""
         order = np.argsort(rows, kind="stable")
         first = np.append(0, np.cumsum(np.bincount(rows, minlength=shape[0])))
         return LinearMap((first, columns[order], values[order]), shape[1])
 
     def __call__(self, x: Array) -> Array:
-        """Multiply a vector, shape (m,), or each row of an array, (k, m) to (k, n)."""
+        """Return the matrix times a vector, (m,), or times each row, (k, m) to (k, n)."""
         return csr_rows(*self.csr, x, None)
 
     def transposed(self, x: Array) -> Array:
-        """Multiply each row with the transposed (not conjugated) matrix, (k, n) to (k, m)."""
+        """Return the transposed (not conjugated) matrix times each row, (k, n) to (k, m)."""
         return csr_rows(*self.csr, x, self._width)

@@ -1,7 +1,7 @@
-"""Fast features of functions of time that are sampled finely: pulses that steps may pass over.
+"""Pulses in functions of time that steps may pass over, found in fine samples.
 
-A function is followed by n steps if straight lines between its values at n + 1 instants are within
-a share of its range everywhere.
+n steps follow a function if straight lines between its values at n + 1 times deviate from it by
+less than a fraction of its range everywhere.
 """
 
 from __future__ import annotations
@@ -12,28 +12,30 @@ import numpy as np
 
 from ancfdae.numerics.arrays import Array
 
-# Intervals of the samples of a law, which takes arrays of instants.
+# Number of intervals between the samples of a law.
 SAMPLES = 2**14
 # Numbers of steps, each a divisor of the samples, that may follow a function.
 _STEPS = 8, 16, 32, 64, 128, 256, 512, 1024, 2048
-# Distance from a straight line, over the range, that counts as followed, and that begins a feature.
+# Deviations from a straight line, over the range, up to which a function counts as followed, and
+# above which a pulse begins.
 _FOLLOWED, _BEGINS = 0.2, 0.02
-# Features may take this share of the time; more are no pulses, but a motion that is fast throughout
-# and that error control meets everywhere. Each gives as many stops.
+# Pulses may take at most _SHARE of the time; otherwise the motion is fast throughout, and error
+# control resolves it. Stops divide each pulse into _PARTS parts.
 _SHARE, _PARTS = 0.3, 8
 
 
 class Pulses(NamedTuple):
-    """Fewest steps that follow functions of time, and stops around their pulses, s."""
+    """Least number of steps that follow functions of time, and stops around their pulses, s."""
 
     steps: int
     stops: tuple[float, ...]
 
 
 def find_pulses(t: Array, values: Array, least: int = _STEPS[0]) -> Pulses:
-    """Judge functions of time, the columns of values at SAMPLES + 1 or fewer equidistant times.
+    """Return the pulses of functions of time, the columns of `values` at equidistant times t, s.
 
-    Runs take `least` steps, one of `_STEPS`, whatever the functions are.
+    There are at most SAMPLES + 1 times. Runs take at least `least` steps, one of `_STEPS`, whatever
+    the functions are.
     """
     values = values[:, np.all(np.isfinite(values), axis=0)]
     ranges = np.ptp(values, axis=0)
@@ -47,13 +49,13 @@ def find_pulses(t: Array, values: Array, least: int = _STEPS[0]) -> Pulses:
     steps = next(
         (n for n in _STEPS if n > least and _off(values, n).max() <= _FOLLOWED), _STEPS[-1]
     )
-    # Lines of more steps leave the neighbourhood of a pulse.
+    # With more steps the lines would follow the flanks of a pulse.
     near = _off(values, max(steps // 4, least))
     return Pulses(steps, _stops(t, near > _BEGINS))
 
 
 def _off(values: Array, steps: int) -> Array:
-    """Return the largest distance of the columns from straight lines at every instant."""
+    """Return how far the columns of `values` deviate from straight lines over `steps`, (n_t,)."""
     each = (len(values) - 1) // steps
     known, share = values[::each], np.arange(each)[:, None, None] / each
     lines = (known[:-1] + share * np.diff(known, axis=0)).swapaxes(0, 1)
@@ -62,7 +64,7 @@ def _off(values: Array, steps: int) -> Array:
 
 
 def _stops(t: Array, inside: Array) -> tuple[float, ...]:
-    """Return instants that part every feature; none where they take much of the time."""
+    """Return times, s, that divide every pulse; none if pulses take much of the time."""
     if inside.mean() > _SHARE:
         return ()
     edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))

@@ -1,4 +1,4 @@
-"""Rotation matrices from numbers, complex-safe, many at once; frames."""
+"""Rotation matrices from rotation vectors, complex-safe, many at once; orthonormal frames."""
 
 import numpy as np
 
@@ -6,13 +6,13 @@ from ancfdae.numerics.arrays import Array
 
 
 def orthonormal(rows: Array) -> Array:
-    """Return independent rows made orthonormal in their order; the first keeps its direction."""
+    """Return independent rows orthonormalised in their order; the first keeps its direction."""
     Q, R = np.linalg.qr(rows.T)
     return (Q * np.sign(np.diag(R))).T
 
 
 def in_space(vectors: Array) -> Array:
-    """Give vectors of the plane a third component, zero."""
+    """Return vectors of the plane, (..., 2), with a third component zero, (..., 3)."""
     missing = np.zeros((*vectors.shape[:-1], 3 - vectors.shape[-1]), dtype=vectors.dtype)
     return np.concatenate([vectors, missing], axis=-1)
 
@@ -25,20 +25,20 @@ _SPATIAL = np.array(
         [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
     ]
 )
-# Terms of the series of sin(x)/x and (1 - cos x)/x^2 in x^2; below |x| = 1 the next is under eps.
+# Terms of the series of sin(x)/x and (1 - cos x)/x^2; below |x| = 1 the next term is under eps.
 _TERMS = 10
 
 
 def generators(d: int) -> Array:
-    """Return the matrices E_k of turns about each axis, E_k r = e_k x r, shape (n_r, d, d).
+    """Return the matrices E_k of rotations about each axis, E_k r = e_k x r, shape (n_r, d, d).
 
-    One in the plane, three in space.
+    n_r is one in the plane and three in space.
     """
     return _PLANAR if d == 2 else _SPATIAL
 
 
 def rotation(turn: Array, d: int) -> Array:
-    """Return the rotation by a vector along the axis, as long as the angle, shape (d, d).
+    """Return the matrix, (d, d), of a rotation vector along the axis, of the length of the angle.
 
     exp(W) = I + sin(x)/x W + (1 - cos x)/x^2 W^2, x = |turn|; `turn` has one entry in the plane.
     """

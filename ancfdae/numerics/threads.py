@@ -1,11 +1,11 @@
 """One thread for the libraries of linear algebra while a computation of this package runs.
 
-The matrices of a mechanism are small: a factorisation takes microseconds, and the threads of a BLAS
-library then spend more time in waiting for each other than in the factorisation (a step of `Radau`
-on a spatial beam of ten elements takes twenty to eighty times as long with two threads).
+The matrices of a mechanism are small: a factorisation takes microseconds. The threads of a BLAS
+library then spend more time in waiting for each other than in the factorisation. (A step of `Radau`
+on a spatial beam of ten elements takes twenty to eighty times as long with two threads.)
 
-The limit of OpenBLAS holds for the whole process. It is therefore counted who needs it: the first
-computation sets it, the last one restores what the user had, in whatever Python thread it ends.
+The limit of OpenBLAS holds for the whole process. Computations that need it are therefore counted:
+the first one sets it, the last one restores the user's setting, in whatever Python thread it ends.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ from functools import cache, wraps
 from threading import RLock
 from typing import Any, ParamSpec, TypeVar, final
 
-# Packages that bring a library of linear algebra of their own, when they are imported.
+# Packages whose import loads a linear algebra library of their own.
 _BRINGERS = ("numpy.linalg", "scipy.linalg", "sksundae", "sundials4py")
 
 
 @final
 class _Pools:
-    """Thread pools of BLAS libraries, who needs them to be of one thread, and what they were."""
+    """Thread pools of BLAS libraries: computations that need one thread, and former settings."""
 
     def __init__(self) -> None:
-        # A handler of signals may compute, too, while its own thread holds the lock.
+        # Reentrant: a signal handler may compute while its own thread holds the lock.
         self._lock = RLock()
         self._holders: set[object] = set()
         self._before: dict[str, tuple[Any, int]] = {}
 
     def hold(self, holder: object) -> None:
-        """Limit all libraries that are loaded to one thread until `release`."""
+        """Limit all loaded BLAS libraries to one thread until `release` of the same holder."""
         controller = _controller(tuple(name in sys.modules for name in _BRINGERS))
         with self._lock:
             first = not self._holders
             self._holders.add(holder)
             wide = [x for x in controller.lib_controllers if (x.num_threads or 1) > 1]
             for library in wide:
-                # A formula of the user may have changed what another holder has limited.
+                # A formula of the user may have changed the limit that another holder set.
                 if first or library.filepath not in self._before:
                     self._before[library.filepath] = library, library.num_threads
                 library.set_num_threads(1)
@@ -47,13 +47,13 @@ class _Pools:
                 _disown(controller)
 
     def hold_loaded(self) -> None:
-        """Limit the libraries that a running computation has just loaded, too."""
+        """Limit the libraries that a running computation has just loaded to one thread, too."""
         with self._lock:
             for holder in list(self._holders)[:1]:
                 self.hold(holder)
 
     def release(self, holder: object) -> None:
-        """Restore all limits if nobody else needs them; does no harm if called again."""
+        """Restore all limits if no other holder needs them; calling it again does no harm."""
         with self._lock:
             self._holders.discard(holder)
             if self._before and not self._holders:
@@ -68,14 +68,14 @@ class _Pools:
 
 @cache
 def _controller(_loaded: tuple[bool, ...]) -> Any:
-    """Return the controller of the BLAS libraries; it is made again when another one was loaded."""
+    """Return the controller of BLAS libraries, a new one after another library was loaded."""
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController().select(user_api="blas")
 
 
 def _disown(controller: Any) -> None:
-    """Let any thread set the limits next.
+    """Let any thread change the limits next.
 
     From version 3.7 of threadpoolctl on, the thread that set a limit of OpenBLAS is the only one
     that can change it, until it leaves a block of its own.
@@ -89,7 +89,7 @@ _POOLS = _Pools()
 
 @final
 class _Block:
-    """A block that needs one thread; entered and left twice (`in_one_thread`)."""
+    """A `with` block that needs one BLAS thread; entered and left twice (`in_one_thread`)."""
 
     _holds = False
 
@@ -100,7 +100,7 @@ class _Block:
             _POOLS.hold(self)
             self._holds = True
         except BaseException:
-            # Ctrl-C met it half way.
+            # Ctrl-C may have interrupted `hold` half way.
             _POOLS.release(self)
             raise
 
@@ -109,10 +109,10 @@ class _Block:
 
 
 def lapack() -> Any:
-    """Return the capsules of SciPy's LAPACK routines by name.
+    """Return the capsules of SciPy's LAPACK routines by name, for the kernels.
 
-    The kernels load them at the first wide band. SciPy then brings a library of its own, which has
-    the threads of the machine until it is limited as those loaded before.
+    The kernels load them at the first wide band. SciPy then loads a library of its own, which is
+    limited to one thread like those loaded before.
     """
     capsules = importlib.import_module("scipy.linalg.cython_lapack").__pyx_capi__
     _POOLS.hold_loaded()

@@ -1,13 +1,13 @@
-"""Time points of a run, and integrals and values between them.
+"""Time points of a run, with quadrature and interpolation of functions on them.
 
-A grid of degree p is a chain of panels of p + 1 instants that share their end
-points. Within a panel a function is the polynomial of degree p through its
-values; quadrature and interpolation integrate and evaluate that polynomial.
+A grid of degree p is a chain of panels of p + 1 time points that share their end points. Within a
+panel a function is the polynomial of degree p through its values; quadrature and interpolation
+integrate and evaluate that polynomial.
 
 * p = 1: panels are single steps, quadrature is the trapezoidal rule and
   interpolation is linear. Second order, as HHT-I3.
-* p = 3: instants are the stages of `Radau`, whose quadrature is exact to degree 4.
-* p = 8: instants are Gauss-Lobatto points, and the quadrature is exact to
+* p = 3: time points are the stages of `Radau`, whose quadrature is exact to degree 4.
+* p = 8: time points are Gauss-Lobatto points, and the quadrature is exact to
   degree 15; for integrators of high order.
 """
 
@@ -25,9 +25,9 @@ from ancfdae.numerics.arrays import Array
 
 @lru_cache(maxsize=32)
 def box_rule(counts: tuple[int, ...]) -> tuple[Array, Array]:
-    """Tensor rule on xi in [0, 1] and each transverse coordinate in [-1/2, 1/2].
+    """Return a tensor quadrature rule on xi in [0, 1] and transverse coordinates in [-1/2, 1/2].
 
-    Returns points, shape (n_p, len(counts)), and weights that sum to one; n points along a
+    There are points, shape (n_p, len(counts)), and weights that sum to one; n points along a
     direction integrate polynomials of degree 2 n - 1 exactly.
     """
     rules = [np.polynomial.legendre.leggauss(count) for count in counts]
@@ -42,16 +42,16 @@ def box_rule(counts: tuple[int, ...]) -> tuple[Array, Array]:
 
 
 LOBATTO_DEGREE = 8
-# Values between steps are interpolated through this number of time points.
+# Number of time points of the polynomial that interpolates between steps of degree 1.
 _NEAR = 4
-# Part of the length of a run within which instants are one.
+# Times that differ by less than _SAME times the length of the run count as one.
 _SAME = 1e-9
-# Part of the largest weight below which one is round-off of zero.
+# Weights below _NONE times the largest one count as zero.
 _NONE = 1e-12
 
 
 def next_end(breakpoints: Iterable[float], t: float, t_end: float) -> float:
-    """Return the first of the instants after t, or the end of the run."""
+    """Return the first of the breakpoints after t, or the end of the run; s."""
     least = _SAME * t_end
     return min((x for x in breakpoints if t + least < x < t_end - least), default=t_end)
 
@@ -59,11 +59,11 @@ def next_end(breakpoints: Iterable[float], t: float, t_end: float) -> float:
 @final
 @dataclass(frozen=True)
 class TimeGrid:
-    """Increasing times in panels of `degree` intervals, with their quadrature."""
+    """Increasing times in panels of `degree` intervals, with quadrature and interpolation."""
 
     t: Array  # (n_t,)
-    # Degree p of the polynomial of a panel; a run that ended early may leave a last panel of fewer
-    # instants, whose polynomial has a lower degree.
+    # Degree p of the polynomial of a panel; a run that ended early may have a last panel of fewer
+    # time points, whose polynomial has a lower degree.
     degree: int
 
     @staticmethod
@@ -75,7 +75,7 @@ class TimeGrid:
         return TimeGrid(t, LOBATTO_DEGREE)
 
     def weights(self) -> Array:
-        """Return quadrature weights of all instants, shape (n_t,)."""
+        """Return quadrature weights of all time points, shape (n_t,); s."""
         w = np.zeros(len(self.t))
         if self.degree == 1:
             w[1:] += 0.5 * np.diff(self.t)
@@ -94,8 +94,8 @@ class TimeGrid:
     def interpolation(self, time: float) -> tuple[slice, Array]:
         """Return the slice of time points and the weights that interpolate a value at `time`.
 
-        The polynomial through the points `around` it; a time within 1e-12 of the end time of a time
-        point counts as that point.
+        The polynomial passes through the points `around` the time; a time within 1e-12 of the end
+        time of a time point counts as that point.
         """
         t = self.t
         nearest = len(t) - 1 if time == t[-1] else int(np.argmin(np.abs(t - time)))
@@ -105,9 +105,9 @@ class TimeGrid:
         return panel, _lagrange(t[panel], time)
 
     def around(self, time: float) -> slice:
-        """Return the time points through whose values a polynomial interpolates at a time.
+        """Return the slice of time points whose polynomial interpolates at `time`.
 
-        Those of the panel; of degree 1 four around the time, since straight lines would leave
+        It is the panel; for degree 1 four points around the time, since straight lines would leave
         derivatives with respect to the time to first order.
         """
         count, degree = len(self.t), self.degree
@@ -129,7 +129,10 @@ def _lobatto_points() -> Array:
 
 
 def _panel_weights(t: Array) -> Array:
-    """Integrals of the Lagrange polynomials of panels, (k, p + 1): exact for Legendre's up to p."""
+    """Return integrals of the Lagrange polynomials of panels, (k, p + 1).
+
+    They are exact for Legendre polynomials up to degree p.
+    """
     half = 0.5 * (t[:, -1:] - t[:, :1])
     x = (t - 0.5 * (t[:, :1] + t[:, -1:])) / half
     integrals = np.zeros((*t.shape, 1))
@@ -139,7 +142,7 @@ def _panel_weights(t: Array) -> Array:
 
 
 def _lagrange(t: Array, time: float) -> Array:
-    """Values of the Lagrange polynomials of the instants at one time."""
+    """Return the values of the Lagrange polynomials of the time points t at `time`."""
     gaps, ahead = t[:, None] - t, np.tile(time - t, (len(t), 1))
     np.fill_diagonal(gaps, 1.0)
     np.fill_diagonal(ahead, 1.0)

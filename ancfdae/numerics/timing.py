@@ -1,4 +1,4 @@
-"""How long calls take: the one place that reads a clock."""
+"""Processor and wall-clock times of calls; the only module that reads a clock for measurements."""
 
 import math
 import time
@@ -9,9 +9,9 @@ _Answer = TypeVar("_Answer")
 
 
 def stopwatch(wall: bool = False) -> Callable[[], float]:
-    """Return a function that tells the processor time of this process since now; s.
+    """Return a function that returns the processor time, s, of this process since now.
 
-    Or the time by the clock on the wall.
+    If `wall`, it returns the wall-clock time since now.
     """
     clock = time.perf_counter if wall else time.process_time
     begin = clock()
@@ -21,7 +21,7 @@ def stopwatch(wall: bool = False) -> Callable[[], float]:
 def timed(
     call: Callable[[], _Answer], repeats: int = 1, *, long: float = math.inf, wall: bool = False
 ) -> tuple[float, _Answer]:
-    """Return the least time of `repeats` calls, s, and the last answer.
+    """Return the least time of `repeats` calls, s, and the last result.
 
     A call that takes longer than `long` is not repeated: there the clock's resolution and
     interruptions are a small part of the time.
@@ -36,7 +36,7 @@ def timed(
 
 
 def medians(calls: Sequence[Callable[[], object]], repeats: int, wall: bool = False) -> list[float]:
-    """Return median times of calls that take turns; the first turn is not counted; s."""
+    """Return median times, s, of calls that alternate; the first round is not counted."""
     turns = [[timed(call, wall=wall)[0] for call in calls] for _ in range(repeats + 1)]
     import statistics
 

@@ -1,7 +1,7 @@
-"""Formulas of vectors: what stands for an array in them, and helpers for (..., n_vectors, d).
+"""Formulas of vectors: stand-ins for arrays in them, and helpers for shape (..., n_vectors, d).
 
-A formula that is written with these runs on arrays of numbers, and on `Carried` arrays, which
-list its operations or bound its values.
+A formula that is written with these helpers runs on arrays of numbers, and on `Carried` arrays,
+which list its operations or bound its values.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import Array
 
-# Functions of one number that have derivatives, for messages.
+# Functions of one number that have derivatives, as listed in messages.
 _KNOWN = "exp, log, sqrt, sin, cos, tan, sinh, cosh, tanh, square, reciprocal, arctan"
 
 
@@ -27,7 +27,7 @@ class StandIn(abc.ABC):
 
     @abc.abstractmethod
     def angle(self, x: Any) -> Any:
-        """Return the angle of (x, self)."""
+        """Return the angle of the vectors (x, self); rad."""
 
     @abc.abstractmethod
     def positive(self) -> Any:
@@ -35,11 +35,11 @@ class StandIn(abc.ABC):
 
     @abc.abstractmethod
     def step(self) -> Any:
-        """Return 1 where they are positive, else 0."""
+        """Return 1 where the numbers are positive, else 0."""
 
 
 class Carried(NDArrayOperatorsMixin, StandIn):
-    """Stand-in for an array in a formula: NumPy's operations on it return more of its kind."""
+    """Stand-in for an array in a formula: NumPy's operations on it return further stand-ins."""
 
     @property
     @abc.abstractmethod
@@ -48,21 +48,21 @@ class Carried(NDArrayOperatorsMixin, StandIn):
 
     @abc.abstractmethod
     def sum(self, axis: int, keepdims: bool = False) -> Any:
-        """Return the sum over an axis."""
+        """Return the sum of the array over an axis, as `numpy.sum` does."""
 
     @abc.abstractmethod
     def joined(self, parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) -> Any:
-        """Apply a function of NumPy to a sequence of arrays, at least one of this kind.
+        """Apply a NumPy function such as np.stack to arrays, at least one of them a stand-in.
 
-        The function places entries and does not calculate with them, as np.stack does.
+        The function places entries and does not calculate with them.
         """
 
     def __array_function__(
         self, function: Any, types: Any, args: tuple[Any, ...], named: dict[str, Any]
     ) -> Any:
-        """Apply a function of NumPy on whole arrays; InvalidInputError for all but a few.
+        """Apply a NumPy function of whole arrays; InvalidInputError for all but a few functions.
 
-        Others would take it for an array of one entry, and calculate entry by entry.
+        Other functions would treat the stand-in as an array of one entry.
         """
         if function in _JOINS:
             return self.joined(args[0], lambda x: np.asarray(function(x, *args[1:], **named)))
@@ -87,7 +87,7 @@ _JOINS = (np.concatenate, np.stack, np.vstack, np.hstack)
 
 
 def without_derivatives(ufunc: np.ufunc) -> InvalidInputError:
-    """Return the error for a function that nothing here is carried through."""
+    """Return the error for a NumPy function through which no derivative is carried."""
     return InvalidInputError(
         f"numpy.{ufunc.__name__}",
         "must have derivatives where a law, a force or a joint is made of it",
@@ -101,17 +101,17 @@ def without_derivatives(ufunc: np.ufunc) -> InvalidInputError:
 
 
 def dot(a: Any, b: Any) -> Any:
-    """Return a . b over the last axis, which is kept."""
+    """Return a . b over the last axis, which is kept, shape (..., 1)."""
     return (a * b).sum(axis=-1, keepdims=True)
 
 
 def cross(a: Any, b: Any) -> Any:
-    """Return a x b of spatial vectors."""
+    """Return a x b of spatial vectors, (..., 3)."""
     return a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
 
 
 def direction(e: Any) -> tuple[Any, Any]:
-    """Return the length l of vectors, shape (..., 1), and n = e / l."""
+    """Return the lengths l of vectors e, shape (..., 1), and the unit vectors e / l."""
     l = np.sqrt(dot(e, e))
     return l, e / l
 
@@ -127,11 +127,16 @@ def angle(y: Any, x: Any) -> Any:
 
 
 def positive(x: Any) -> Any:
-    """Return x where its real part is positive, else 0.
+    """Return x where its real part is positive, else 0, for numbers, arrays and symbols.
 
-    The derivative is 1 or 0; at x = 0, where none exists, it is 0.
+    The derivative is 1 or 0; at x = 0, where none exists, it is 0. Formulas with kinks are written
+    with it: |x| = positive(x) + positive(-x), the larger of x and y = y + positive(x - y).
     """
-    return x.positive() if isinstance(x, StandIn) else np.where(np.real(x) <= 0, 0.0, x)
+    if isinstance(x, StandIn):
+        return x.positive()
+    if isinstance(x, np.ndarray) and x.dtype == object:
+        return _POSITIVE_ENTRIES(x)
+    return np.where(np.real(x) <= 0, 0.0, x)[()]
 
 
 def step(x: Any) -> Any:
@@ -140,8 +145,10 @@ def step(x: Any) -> Any:
 
 
 def concatenate(parts: Sequence[Any]) -> Any:
-    """Return one list of vectors out of several, (..., n_1 + n_2 + ..., d)."""
+    """Return several lists of vectors as one, shape (..., n_1 + n_2 + ..., d)."""
     return np.concatenate(parts, axis=-2)
 
 
+# Of arrays of symbols, entry by entry.
+_POSITIVE_ENTRIES = np.frompyfunc(positive, 1, 1)
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]

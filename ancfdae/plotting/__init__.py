@@ -1,4 +1,4 @@
-"""Pictures of mechanisms, films, histories and line plots: only here matplotlib is imported."""
+"""Pictures and animations of mechanisms, and line plots; only this package imports matplotlib."""
 
 from ancfdae.plotting.charts import Figure, Panel, Scale, Series, draw, save
 from ancfdae.plotting.derivatives import gradient_bars, history

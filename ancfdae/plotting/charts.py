@@ -1,14 +1,14 @@
-"""Line plots for reports: how labels look, and how panels are drawn and saved.
+"""Line plots for reports: styles of labels, and panels that are drawn and saved.
 
 A plot is declared as data (`Series` in `Panel`), drawn by `draw` and written by `save`. Neither
 uses pyplot, so no figure stays open and no backend is chosen for the rest of the process.
 
-A label stands for one thing in the whole figure: series with the same label share colour, line and
-marker in every panel and one entry in the legend, which stands below the panels and thus never on
-the data. Methods keep theirs in all figures (`looks`). Later series are drawn thinner and over
-earlier ones, so that two curves which coincide show both of their colours; series that are points
-alone stand over all lines, later ones smaller. Symbols in labels, such as ``rho_1`` and ``2^-7``,
-are set as mathematics.
+A label has one style in the whole figure: series with the same label share colour, line and marker
+in every panel and one entry in the legend, which is below the panels and thus never covers data.
+Methods have the same style in all figures (`looks`). Later series are drawn thinner and over
+earlier ones, so that two curves that coincide show both of their colours; series of points without
+lines are drawn over all lines, later ones smaller. Symbols in labels, such as ``rho_1`` and
+``2^-7``, are set as mathematics.
 """
 
 import math
@@ -45,7 +45,7 @@ _DASHES: Final = (None, (5.0, 2.0), (1.2, 1.0), (5.0, 2.5, 1.2, 2.5))
 @final
 @dataclass(frozen=True)
 class Look:
-    """Colour, marker, dashes (None for a solid line), and whether the marker is filled."""
+    """Style of a label: colour, marker, dashes (None for a solid line), filled marker or not."""
 
     colour: str
     marker: str
@@ -58,7 +58,7 @@ def _look(place: int, dashes: int = 0) -> Look:
     return Look(COLOURS[place % len(COLOURS)], marker, _DASHES[dashes % len(_DASHES)])
 
 
-# By how a label begins, the longest that fits.
+# Styles of methods, by the start of a label; the longest matching start counts.
 _METHODS: Final[dict[str, Look]] = {
     "HHT": _look(0),
     "HHT controlled": _look(6),
@@ -74,14 +74,15 @@ _METHODS: Final[dict[str, Look]] = {
     "discrete adjoint": _look(3),
     "continuous adjoint": _look(2),
 }
-# Of these: filled and dashed, with a marker of their own, since small ones look filled anyway.
+# Markers of second labels of these methods, which are filled and dashed; small markers look filled
+# anyway.
 _PARTNERS: Final = dict(zip(_MARKERS[:7], (">", "p", "h", "*", "d", "8", "<"), strict=True))
-# How labels end that stand beside another one of the same method.
+# Ends of labels of a second variant of the same method.
 _SECOND: Final = ("alpha = -0.05", "index 1", ", 3 levels", ", adjoint")
 
 
 def looks(labels: Iterable[str]) -> dict[str, Look]:
-    """Return the look of each label of a figure: that of its method, or the first one free."""
+    """Return the style of each label of a figure: that of its method, or the next free one."""
     given: dict[str, Look] = {}
     for label in dict.fromkeys(labels):
         known = max((name for name in _METHODS if label.startswith(name)), key=len, default="")
@@ -95,7 +96,7 @@ def looks(labels: Iterable[str]) -> dict[str, Look]:
 
 
 def _free(given: dict[str, Look]) -> Look:
-    """Return a look of a colour that is free, or of the next in their round."""
+    """Return a style in a free colour, or in the next colour in turn if all are taken."""
     taken = {look.colour for look in given.values()}
     places = (k for k, colour in enumerate(COLOURS) if colour not in taken)
     place = next(places, len(given))
@@ -106,9 +107,9 @@ _SYMBOL: Final = (
     "hht_alpha|alpha|beta|gamma|delta|eps|epsilon|zeta|eta|theta|kappa|lambda|mu|nu|xi|rho|sigma|"
     "tau|phi|psi|omega|Phi|Psi|Omega"
 )
-# Symbols that matplotlib has under another name.
+# Symbols with another name in matplotlib.
 _OTHERS: Final = {"eps": "varepsilon", "hht_alpha": "alpha"}
-# 1e-7; 2^-7; a symbol, Greek or one letter with an index, maybe after the d of a derivative.
+# Matches 1e-7; 2^-7; a Greek symbol, or a letter with an index, maybe after the d of a derivative.
 _MATHEMATICS: Final = re.compile(
     r"(?<![\w.$\\])(?:"
     r"(?P<digits>\d+(?:\.\d+)?)e(?P<exponent>[+-]?\d+)"
@@ -122,7 +123,7 @@ _MATHEMATICS: Final = re.compile(
 def set_as_mathematics(text: str) -> str:
     """Return a label with its symbols, powers and exponents in matplotlib's mathematics.
 
-    A text that holds a dollar sign is left as it is.
+    A text with a dollar sign is returned unchanged.
     """
     return text if "$" in text else _MATHEMATICS.sub(_one, text)
 
@@ -144,14 +145,14 @@ def _one(match: re.Match[str]) -> str:
 Scale = Literal["linear", "log"]
 
 _PANEL_SIZE: Final = (6.4, 4.0)  # inches
-# Of three and more beside each other: as they are shown at the same width, letters are larger.
+# Size in inches of panels in three and more columns, which are shown smaller, with larger letters.
 _NARROW_SIZE: Final = (4.3, 3.5)
 _LARGER: Final = 1.2
 _LEGEND_CHARACTER: Final = 0.085  # inches, above the mean at the legend's font size
 _LEGEND_HANDLE: Final = 0.75  # inches: line sample and gaps beside each label
 _LEGEND_ROW: Final = 0.25  # inches
 _MARKERS_ON_LINE: Final = 15
-# A text without brackets, or one before a unit in brackets.
+# A quantity, alone or with its unit in brackets.
 _LABEL: Final = re.compile(r"[^\[\]]*[^\[\]\s][^\[\]]*(\[[^\[\]]+\])?")
 _SETTINGS: Final[dict[str, object]] = {
     "axes.spines.top": False,
@@ -166,7 +167,7 @@ _SETTINGS: Final[dict[str, object]] = {
 }
 
 
-# Metadata of files by suffix: nothing that changes from run to run.
+# Metadata of files by suffix, without dates, so that files do not change from run to run.
 _METADATA: Final[dict[str, dict[str, str | None]]] = {
     ".svg": {"Date": None, "Creator": "ancfdae"},
     ".png": {"Software": "ancfdae"},
@@ -176,7 +177,9 @@ _SIZES: Final = {"font.size": 11.0, "axes.titlesize": 12.0, "legend.fontsize": 1
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One curve or set of points; refused if there is nothing to see, or nothing to call it by.
+    """One curve or set of points of a panel.
+
+    Raises InvalidInputError if no point is finite, or if the label is not visible in a legend.
 
     Parameters
     ----------
@@ -227,16 +230,18 @@ class Series:
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes with its series; refused if one of them has no point that shows.
+    """One pair of axes with its series.
+
+    Raises InvalidInputError if a series has no visible point.
 
     Parameters
     ----------
     title : str
     x_label, y_label : str
-        Quantity and unit, for example ``"t [s]"``; a number without unit has its name alone,
-        ``"relative error"``.
+        Quantity and unit, for example ``"t [s]"``; without a unit the name alone, ``"relative
+        error"``.
     series : sequence of Series
-        At least one, each label once.
+        At least one, with distinct labels.
     x_scale, y_scale : {"linear", "log"}
         On a logarithmic axis points that are not positive leave gaps.
     """
@@ -285,9 +290,9 @@ class Panel:
 
 
 def draw(panels: Sequence[Panel], columns: int = 1, title: str = "") -> Figure:
-    """Draw panels row by row, `columns` beside each other, into one figure with one legend below.
+    """Draw panels row by row, `columns` per row, into one figure with one legend below.
 
-    Refused are no panels, and a label that is asked to look differently in two of them.
+    Raises InvalidInputError without panels, and for a label with different styles in two panels.
     """
     if not panels or columns < 1:
         raise InvalidInputError(
@@ -322,14 +327,14 @@ def draw(panels: Sequence[Panel], columns: int = 1, title: str = "") -> Figure:
 def save(figure: Figure, path: str | os.PathLike[str]) -> tuple[Path, ...]:
     """Write a figure to ``motion.png`` or ``motion.svg``, or to both if the name has no suffix.
 
-    The same figure gives the same bytes: an SVG carries no date and no random identifiers. Missing
-    folders are created. SaveError is raised as on a full disk, and files that were there before are
-    kept.
+    The same figure gives the same bytes: an SVG has no date and no random identifiers. Missing
+    folders are created. Raises SaveError if the file cannot be written, for example on a full disk;
+    existing files are then kept.
 
     Returns
     -------
     tuple of Path
-        The files that were written, of two the SVG first.
+        The files that were written; of two the SVG first.
     """
     require_kind("save, path", path, (str, os.PathLike), "Give the name of a file.")
     path = Path(path)
@@ -346,7 +351,8 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> tuple[Path, ...]:
     layout = figure.get_layout_engine()
     with settings():
         # Laid out once for both: it takes as long as drawing.
-        figure.draw_without_rendering()
+        if layout is not None:
+            layout.execute(figure)
         figure.set_layout_engine(None)
         for file in files:
             with replacing("figure", file) as written:
@@ -373,7 +379,7 @@ def settings(larger: float = 1.0) -> AbstractContextManager[None]:
 
 
 def _check_looks(panels: Sequence[Panel]) -> None:
-    """Refuse a label that is asked to look differently in two panels."""
+    """Raise InvalidInputError for a label with different styles in two panels."""
     asked: dict[str, tuple[bool, bool, bool | None]] = {}
     for panel in panels:
         for series in panel.series:
@@ -388,7 +394,7 @@ def _check_looks(panels: Sequence[Panel]) -> None:
 
 
 def _add_legend(figure: Figure, entries: dict[str, Line2D]) -> None:
-    """Put the legend below all panels, in as many columns as fit, and make room for its rows."""
+    """Put the legend below all panels, in as many columns as fit, and enlarge the figure."""
     width, height = figure.get_size_inches()
     entry_width = _LEGEND_HANDLE + _LEGEND_CHARACTER * max(len(label) for label in entries)
     columns = max(1, min(len(entries), int(width / entry_width)))
@@ -400,10 +406,10 @@ def _add_legend(figure: Figure, entries: dict[str, Line2D]) -> None:
 def _draw_panel(
     axes: Axes, panel: Panel, styles: dict[str, Look], entries: dict[str, Line2D]
 ) -> None:
-    """Draw one panel; note in `entries` the first line of each label for the legend."""
+    """Draw one panel; store in `entries` the first line of each label for the legend."""
     texts = {"title": panel.title, "xlabel": panel.x_label, "ylabel": panel.y_label}
     axes.set(**{name: set_as_mathematics(text) for name, text in texts.items()})
-    # A logarithmic axis leaves out what it cannot show instead of moving it.
+    # A logarithmic axis omits values that are not positive, instead of moving them.
     if panel.x_scale == "log":
         axes.set_xscale("log", nonpositive="mask")
         axes.xaxis.set_minor_formatter(partial(_between_powers, axes.xaxis))
@@ -420,11 +426,11 @@ def _draw_panel(
 
 
 def _between_powers(axis: Axis, x: float, _: int | None = None) -> str:
-    """Label some numbers between powers of ten where an axis is short; more would overlap."""
+    """Return the label of a tick between powers of ten; empty where labels would overlap."""
     low, high = axis.get_view_interval()
     exponent = math.floor(math.log10(x) + 1e-9)
     digit = round(x / 10.0**exponent)
-    beside = isinstance(axis, XAxis) and high > 12 * low  # Labels beside each other need more room.
+    beside = isinstance(axis, XAxis) and high > 12 * low  # Labels side by side need more room.
     if high > 100 * low or digit not in ((3,) if beside else (2, 5)):
         return ""
     return rf"$\mathdefault{{{digit}\times10^{{{exponent}}}}}$"
@@ -451,7 +457,7 @@ def _draw_series(axes: Axes, series: Series, look: Look, place: int) -> Line2D:
 
 
 def _tell_apart(points: Line2D, number: int) -> None:
-    """Draw points over all lines, later ones smaller, so that points at one place are all seen."""
+    """Draw points over all lines, later series smaller, so that coincident points are visible."""
     points.set(zorder=3.0 + 0.01 * number, markersize=max(4.5, 10.0 - 4.0 * number))
     points.set_markeredgewidth(1.5)
     if np.size(points.get_xdata()) == 1:

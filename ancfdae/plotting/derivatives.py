@@ -1,4 +1,4 @@
-"""Derivatives in pictures: bands about observables over time, bars on the elements of a beam."""
+"""Plots of derivatives: bands about observables over time, bars on the elements of a beam."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -22,7 +22,7 @@ from ancfdae.plotting.shapes import BeamMesh
 from ancfdae.sensitivity.method import Gradient
 from ancfdae.sensitivity.observables.observable import Observable, states_of
 
-_SIZE = (7.5, 2.7)  # inches, of each observable
+_SIZE = (7.5, 2.7)  # inches, of the panel of each observable
 
 
 def history(
@@ -33,8 +33,8 @@ def history(
 ) -> Figure:
     """Draw observables over time, with a band for each design variable.
 
-    The band is observable ± |d(observable)/db b| percent/100: what a change of the variable by so
-    many per cent does, to first order, with the exact derivative of the computed motion.
+    The band is observable ± |d(observable)/db b| percent/100: the effect of changing the variable
+    by this percentage, to first order, with the exact derivative of the computed motion.
 
     Parameters
     ----------
@@ -51,8 +51,8 @@ def history(
     Raises
     ------
     InvalidInputError, UnknownNameError
-        If there are no derivatives, the system has other design variables, one of them is zero,
-        or an observable does not exist.
+        If there are no derivatives, the system has other design variables, one of them is zero, or
+        an observable does not exist.
     """
     require_kind("history, system", system, (MechanicalSystem,), "Call assemble(scene, design).")
     require_kind("history, solution", solution, (Solution,), "Call differentiate.")
@@ -132,7 +132,7 @@ def _checked_sensitivities(system: MechanicalSystem, solution: Solution) -> Sens
 # -- bars --------------------------------------------------------------------------------------
 
 
-# Of the extent of the picture: the longest bar.
+# Length of the longest bar over the extent of the picture.
 _LONGEST = 0.22
 _RAISES, _LOWERS = "#b2182b", "#2166ac"
 
@@ -140,10 +140,11 @@ _RAISES, _LOWERS = "#b2182b", "#2166ac"
 def gradient_bars(
     scene: Scene, gradient: Gradient, target: str, time: float | None = None, title: str = ""
 ) -> Figure:
-    """Draw the derivatives with respect to a distribution as bars on the elements of a beam.
+    """Draw the derivatives in a distributed variable as bars on the elements of a beam.
 
-    A bar on the side of the section's height axis says that the objective rises with the variable
-    of the element, one on the other side that it falls; lengths are in proportion.
+    A bar in the direction of the section's height axis means that the objective increases with the
+    variable of the element, one in the opposite direction that it decreases; lengths are
+    proportional to the derivatives.
 
     Parameters
     ----------
@@ -151,15 +152,15 @@ def gradient_bars(
     gradient : Gradient
         In the variables ``target[0]``, ``target[1]`` ... of `distributed_variables`, and others.
     target : str
-        ``"rod.height"``, say.
+        For example ``"rod.height"``.
     time : float, optional
-        Instant of the run that the beam is drawn at; s. By default the scene as declared.
+        Time of the run at which the beam is drawn; s. By default the scene as declared.
     title : str
 
     Raises
     ------
     InvalidInputError, UnknownNameError
-        If the gradient has no distribution of that target, or the scene has no beam of that name.
+        If the gradient lacks variables of that target, or the scene has no beam of that name.
     """
     require_kind("gradient_bars, gradient", gradient, (Gradient,), "Call gradient.")
     require_text("gradient_bars, target", target)
@@ -189,9 +190,9 @@ def gradient_bars(
 
 
 def bar_places(shown: Mechanism, number: int, values: Array, extent: float, k: int = 0) -> Array:
-    """Return the corners of a bar on each element at instant k, shape (n, n_c, d).
+    """Return the corners of a bar on each element at time index k, shape (n, n_c, d); m.
 
-    They stand on the centre line of the mesh of this number; the longest is a share of the extent.
+    Bars stand on the centre line of mesh `number`; the longest is a fixed fraction of `extent`, m.
     """
     mesh = shown.meshes[number]
     assert isinstance(mesh, BeamMesh)
@@ -202,7 +203,7 @@ def bar_places(shown: Mechanism, number: int, values: Array, extent: float, k: i
 
 
 def _distribution(shown: Mechanism, gradient: Gradient, target: str) -> tuple[int, Array]:
-    """Return the number of the mesh, and the derivative by element."""
+    """Return the number of the beam's mesh, and the derivatives by element, shape (n,)."""
     beam = target.partition(".")[0]
     names = [mesh.name for mesh in shown.meshes if isinstance(mesh, BeamMesh)]
     if beam not in names:

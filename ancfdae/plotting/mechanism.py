@@ -1,4 +1,4 @@
-"""A mechanism at some instants, as data: what every picture, animation and export is made of."""
+"""Data of a mechanism at several times, from which pictures, animations and exports are made."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,17 +24,17 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.shapes import BeamMesh, Field, Mesh, RigidMesh
 from ancfdae.plotting.symbols import Arrows, Line, Mark, Symbols
 
-# Lengths of elements that are the same number, summed in another order.
+# Relative difference of element lengths that are equal to round-off.
 _SAME = 1e-9
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Mechanism:
-    """A scene at k instants of a motion.
+    """A scene at k times of a motion.
 
-    `places` are the points of each mesh, (k, n, d), `values` the field there, (k, n): NaN where
-    there is none; empty without a field. `asked` are limits of the colours, if given.
+    `places` are the points of each mesh, (k, n, d), m; `values` the field there, (k, n): NaN where
+    it does not exist; empty without a field. `asked` are the given limits of the colour scale.
     """
 
     d: int
@@ -50,7 +50,7 @@ class Mechanism:
 
     @property
     def bounds(self) -> Array:
-        """Lowest and highest coordinates of everything at all instants, shape (2, d)."""
+        """Least and largest coordinates of all drawn points at all times, shape (2, d); m."""
         places = [x.reshape(-1, self.d) for x in self.places]
         places += [mark.places for mark in self.marks]
         places += [line.ends.reshape(-1, self.d) for line in self.lines if line.kind != "way"]
@@ -59,7 +59,7 @@ class Mechanism:
 
     @property
     def faces(self) -> Array:
-        """Points of the faces of all meshes, numbered through, shape (n_faces, 4)."""
+        """Point indices of the faces of all meshes, counted over all meshes, shape (n_faces, 4)."""
         firsts = np.cumsum([0, *(x.shape[1] for x in self.places)])
         faces = [mesh.faces + n for mesh, n in zip(self.meshes, firsts, strict=False)]
         return np.concatenate(faces)
@@ -80,7 +80,7 @@ class Mechanism:
         if self.field is not None and self.field.signed:
             high = max(abs(low), abs(high))
             low = -high
-        # All of one value: colours need a span.
+        # A constant field: a colour scale needs a span.
         return (low, high) if low < high else (low, low + (abs(low) or 1.0))
 
 
@@ -91,7 +91,7 @@ def mechanism(
     field: Field | None,
     limits: Sequence[float] | None = None,
 ) -> Mechanism:
-    """Put a scene at instants of a motion, or as declared without one.
+    """Return a scene at `times` of a motion, s, or as declared without a motion.
 
     Raises InvalidInputError if the solution belongs to another scene, if the field cannot be
     computed from it, or if `limits` are not two increasing numbers given with a field.
@@ -140,7 +140,7 @@ def _span(limits: Sequence[float] | None, field: Field | None) -> tuple[float, f
 
 
 def _naming(scene: Scene) -> SceneNaming:
-    """Return where bodies stand in the coordinates; assembling the scene would cost far more."""
+    """Return the positions of bodies in the coordinates, without the cost of assembling."""
     numbering, masses = number(scene), tuple(mass.name for mass in scene.point_masses)
     layout = Layout(
         scene.dimension,
@@ -170,7 +170,7 @@ def _meshes(scene: Scene, mapping: ParameterMap, naming: SceneNaming, n_q: int) 
 
 
 def frames_of(motion: Solution, count: int) -> Array:
-    """Return equally spaced instants of a whole motion."""
+    """Return `count` equally spaced times of a whole motion, shape (count,); s."""
     require_kind("film, solution", motion, (Solution,), "Call simulate.")
     if len(motion.t) < 2:
         rule, repair = "needs a motion of several instants", "Use snapshots for a state of rest."
@@ -185,7 +185,10 @@ def _at_rest(q: Array, naming: SceneNaming) -> Solution:
 
 
 def _checked(motion: Solution, declared: SceneNaming) -> SceneNaming:
-    """Refuse the solution of another scene, or of the same one with other lengths."""
+    """Return the naming of a solution; raise InvalidInputError if it belongs to another scene.
+
+    The element lengths must also be those of the scene.
+    """
     given = motion.naming
     if not isinstance(given, SceneNaming):
         rule, repair = "must be that of an ANCF scene", "Other systems have no bodies to draw."

@@ -1,6 +1,6 @@
-"""Paint a mechanism at one instant into axes of matplotlib, in the plane and in space.
+"""Painters of a mechanism at one time into axes of matplotlib, in the plane and in space.
 
-Arrows have a length for their force; springs, ways and moments are lines of points.
+Forces are arrows; springs, axes of motion and moments are drawn as polylines.
 """
 
 import abc
@@ -27,7 +27,7 @@ from ancfdae.plotting.shapes import BeamMesh
 from ancfdae.plotting.symbols import GROUND as GROUND_SIGN
 from ancfdae.plotting.symbols import Arrows, Line
 
-# Of the extent of the picture: longest arrow, arcs of moments, half a way.
+# Relative to the extent of the picture: longest arrow, radius of arcs of moments, half a way.
 _ARROW, _ARC, _WAY = 0.16, 0.05, 0.12
 _TURNS: Final = 7  # of a spring
 _UNITS: Final = {"force": "N", "force per length": "N/m", "moment": "N m"}
@@ -35,9 +35,10 @@ _UNITS: Final = {"force": "N", "force per length": "N/m", "moment": "N m"}
 
 @final
 class Glyphs:
-    """Signs of a mechanism in the size of its picture, the largest extent of everything; m.
+    """Shapes of the symbols of a mechanism, scaled with the extent of its picture, m.
 
-    `labels` has by kind of arrow a text with its largest size, which the longest arrow stands for.
+    `labels` holds for each kind of arrow a text with its largest magnitude, shown by the longest
+    arrow.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
@@ -49,7 +50,7 @@ class Glyphs:
         }
 
     def line(self, line: Line, k: int) -> Array:
-        """Return the points of a line at instant k, shape (n, d)."""
+        """Return the points of a link, spring or way at time index k, shape (n, d); m."""
         ends: Array = line.ends[k]
         if line.kind == "spring":
             return _zigzag(ends)
@@ -59,13 +60,13 @@ class Glyphs:
         return ends
 
     def arrow(self, arrows: Arrows) -> Array:
-        """Return arrows from places to tips, shape (k, n, d)."""
+        """Return the arrow vectors of forces, scaled to the picture, shape (k, n, d); m."""
         return np.asarray(_ARROW * self.extent / self._largest[arrows.kind] * arrows.vectors)
 
     def arc(self, arrows: Arrows, k: int) -> Array:
-        """Return three quarters of a circle about a moment with the head of its arrow, (n, d).
+        """Return an arc with an arrowhead about a moment at time index k, shape (n, d); m.
 
-        All at one place where the moment vanishes.
+        All points coincide where the moment vanishes.
         """
         centre, M, radius = arrows.places[k, 0], arrows.vectors[k, 0], _ARC * self.extent
         size = np.linalg.norm(M)
@@ -80,7 +81,7 @@ class Glyphs:
 
 
 def _largest(arrows: Sequence[Arrows]) -> dict[str, float]:
-    """Largest size of each kind of arrow over all instants."""
+    """Return the largest magnitude of each kind of arrow over all times."""
     sizes: dict[str, float] = {}
     for each in arrows:
         size = float(np.max(np.linalg.norm(each.vectors, axis=-1)))
@@ -89,7 +90,7 @@ def _largest(arrows: Sequence[Arrows]) -> dict[str, float]:
 
 
 def _zigzag(ends: Array) -> Array:
-    """Return a spring between two places; in space it lies in a plane that holds an axis."""
+    """Return the points of a spring between two ends; in space it lies in one plane."""
     e = ends[1] - ends[0]
     length = float(np.linalg.norm(e))
     if len(e) == 2:
@@ -104,7 +105,7 @@ def _zigzag(ends: Array) -> Array:
 
 
 def _circle_arrow(sense: float) -> Array:
-    """Return three quarters of a unit circle from below on, in one sense, with an arrowhead."""
+    """Return three quarters of a unit circle in one sense, with an arrowhead; (n, 2)."""
     angle = sense * np.linspace(-0.5 * np.pi, np.pi, 30)
     arc = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     tip, along = arc[-1], arc[-1] - arc[-4]
@@ -116,14 +117,14 @@ def _circle_arrow(sense: float) -> Array:
 # -- painters ----------------------------------------------------------------------------------
 
 
-#: Body, outline, joints, loads, ground.
+#: Colours of bodies, outlines, joints, loads and ground.
 BODY, EDGE, JOINT, LOAD, GROUND = "#9db4c8", "#33404d", "#111111", "#c1272d", "#7a7a7a"
-#: Of a field whose sign counts, and of others.
+#: Colour maps of fields whose sign matters, and of other fields.
 SIGNED, PLAIN = "RdBu_r", "viridis"
 _WIDTH: Final = 7.5  # inches
 _EDGE: Final = 0.08  # inches, around a picture of space
 _NARROW, _WIDE = 0.15, 1.1  # height of the axes over their width
-# Of the extent of the picture: height of thin beams, and margin.
+# Relative to the extent of the picture: height up to which a beam is thin, and margin.
 _THIN, _MARGIN = 0.008, 0.12
 #: Elevation and azimuth from which space is seen; degrees.
 CAMERA: Final = (22.0, -60.0)
@@ -131,7 +132,7 @@ _LIGHT: Final = np.array([-0.35, -0.55, 0.75])
 
 
 class Painter(abc.ABC):
-    """Axes with equal scales for all instants of a mechanism."""
+    """Axes with equal scales that paint a mechanism at any of its times."""
 
     def __init__(
         self, figure: Figure, mechanism: Mechanism, camera: tuple[float, float] = CAMERA
@@ -144,15 +145,15 @@ class Painter(abc.ABC):
 
     @abc.abstractmethod
     def _make_axes(self, figure: Figure) -> Any:
-        """Return axes with equal scales that hold everything."""
+        """Return axes with equal scales that contain the mechanism at all times."""
 
     @abc.abstractmethod
     def bodies(self, k: int, strength: float = 1.0) -> list[Artist]:
-        """Paint all bodies at instant k, the fainter the less the strength, from 0 to 1."""
+        """Paint all bodies at time index k, mixed with white if `strength` is below 1."""
 
     @abc.abstractmethod
     def settle(self, figure: Figure) -> None:
-        """Give the axes the room that title, legend and colour bar leave."""
+        """Fit the axes into the space that title, legend and colour bar leave."""
 
     @abc.abstractmethod
     def _mark(self, sign: Sign, x: Array) -> list[Artist]:
@@ -160,11 +161,11 @@ class Painter(abc.ABC):
 
     @abc.abstractmethod
     def _quiver(self, x: Array, F: Array) -> Artist:
-        """Paint arrows from places, (n, d) each."""
+        """Paint forces F as arrows that start at the points x, (n, d) each; m."""
 
     @final
     def symbols(self, k: int) -> list[Artist]:
-        """Paint joints, point masses and loads at instant k."""
+        """Paint joints, point masses and loads at time index k; return the artists."""
         shown, artists = self.mechanism, list[Artist]()
         for line in shown.lines:
             artists += self._line(self.glyphs.line(line, k), line.kind)
@@ -201,7 +202,7 @@ class Painter(abc.ABC):
 
     @final
     def legend(self) -> list[Line2D]:
-        """Return an entry for each kind of sign and of arrow that there is."""
+        """Return a legend entry for each kind of marker and of arrow in the picture."""
         signs = dict.fromkeys(mark.sign for mark in self.mechanism.marks)
         entries = [
             Line2D([], [], label=sign.word, **self._marker(sign))  # type: ignore[arg-type]
@@ -217,7 +218,7 @@ class Painter(abc.ABC):
 
     @final
     def _face_colours(self, mesh: int, k: int) -> Array:
-        """Colours of the faces: of the mean over their points, shape (n_faces, 4)."""
+        """Return the colours of faces, (n_faces, 4), from the mean field over their points."""
         faces = self.mechanism.meshes[mesh].faces
         if self.mechanism.field is None:
             return np.tile(to_rgba(BODY), (len(faces), 1))
@@ -230,7 +231,7 @@ class Painter(abc.ABC):
 
 @final
 class PlanePainter(Painter):
-    """A mechanism in the plane."""
+    """Painter of a mechanism in the plane."""
 
     def _make_axes(self, figure: Figure) -> Any:
         axes = figure.add_subplot(aspect="equal", xlabel="x [m]", ylabel="y [m]")
@@ -240,7 +241,7 @@ class PlanePainter(Painter):
         return axes
 
     def bodies(self, k: int, strength: float = 1.0) -> list[Artist]:
-        """Areas of the bodies with their outlines; thin beams as coloured lines."""
+        """Paint areas of the bodies with their outlines; thin beams as coloured lines."""
         artists: list[Artist] = []
         for number, (mesh, x) in enumerate(
             zip(self.mechanism.meshes, self.mechanism.places, strict=True)
@@ -285,7 +286,7 @@ class PlanePainter(Painter):
     def _mark(self, sign: Sign, x: Array) -> list[Artist]:
         if sign is not GROUND_SIGN:
             return list(self.axes.plot(*x[:, None], **self._marker(sign)))
-        # A triangle below the place, and hatching.
+        # A triangle below the point x, and hatching.
         s = 0.03 * self.extent
         shape = s * np.array([[0.0, 0.0], [-0.7, -1.0], [0.7, -1.0], [0.0, 0.0]])
         hatch = s * np.array(
@@ -303,7 +304,7 @@ class PlanePainter(Painter):
 
 @final
 class SpacePainter(Painter):
-    """A mechanism in space, its faces lit from above."""
+    """Painter of a mechanism in space, with faces lit from above."""
 
     def _make_axes(self, figure: Figure) -> Any:
         axes = figure.add_subplot(projection="3d")
@@ -319,9 +320,10 @@ class SpacePainter(Painter):
         return axes
 
     def settle(self, figure: Figure) -> None:
-        """Fill what the layout leaves with the cube of the limits and its labels, and cut nothing.
+        """Scale the cube of the axes and its labels to the free space of the figure.
 
-        The layout takes the axes for a rectangle, which the cube fills badly and reaches beyond.
+        Nothing is clipped. The layout engine treats the axes as a rectangle, which the cube fills
+        badly and exceeds.
         """
         figure.draw_without_rendering()
         figure.set_layout_engine("none")
@@ -334,7 +336,7 @@ class SpacePainter(Painter):
             bottom = max(bottom, legend.get_window_extent().transformed(pixels).y1 + _EDGE)
         if figure.get_suptitle():
             top -= 0.3
-        # Letters do not grow with the axes: the third time changes little.
+        # Labels do not scale with the axes; after three iterations changes are small.
         for _ in range(3):
             box = self._seen().transformed(pixels)
             grow = min((right - left) / box.width, (top - bottom) / box.height)
@@ -353,7 +355,7 @@ class SpacePainter(Painter):
             artist.set_clip_on(False)
 
     def _seen(self) -> Bbox:
-        """Return the room that the cube of the limits and its labels take; pixels."""
+        """Return the bounding box of the cube of the axes and of its labels; pixels."""
         axes = self.axes
         limits = [getattr(axes, f"get_{axis}lim")() for axis in "xyz"]
         corners = np.stack(np.meshgrid(*limits), axis=-1).reshape(-1, 3)
@@ -364,7 +366,7 @@ class SpacePainter(Painter):
         return Bbox.union([cube, *(box for box in labels if box is not None)])
 
     def bodies(self, k: int, strength: float = 1.0) -> list[Artist]:
-        """All faces in one collection, so that they hide each other."""
+        """Paint all faces as one collection, so that nearer faces hide others."""
         faces, colours = [], []
         for number, (mesh, x) in enumerate(
             zip(self.mechanism.meshes, self.mechanism.places, strict=True)
@@ -388,7 +390,7 @@ class SpacePainter(Painter):
 
 
 def colour_map(mechanism: Mechanism) -> Colormap:
-    """Return the colours of the field; parts without a value look as without a field."""
+    """Return the colour map of the field; parts without a value get the colour of bodies."""
     signed = mechanism.field is not None and mechanism.field.signed
     return colormaps[SIGNED if signed else PLAIN].with_extremes(bad=BODY)
 
@@ -396,7 +398,10 @@ def colour_map(mechanism: Mechanism) -> Colormap:
 def canvas(
     shown: Mechanism, title: str, signs: bool = False, camera: tuple[float, float] = CAMERA
 ) -> tuple[Figure, Painter]:
-    """Make a figure as high as the mechanism needs, with colour bar and a legend of signs."""
+    """Return a figure of the height that the mechanism needs, and its painter.
+
+    It has a colour bar for a field and, with `signs`, a legend.
+    """
     span = np.ptp(shown.bounds, axis=0) + 0.24 * np.ptp(shown.bounds, axis=0).max()
     ratio = 0.65 if shown.d == 3 else span[1] / span[0]
     height = _WIDTH * float(np.clip(0.9 * ratio, _NARROW, _WIDE)) + 1.2
@@ -419,7 +424,7 @@ def canvas(
 
 
 def _extend(shown: Mechanism) -> str:
-    """Which ends of the colour bar point to values beyond its limits."""
+    """Return which ends of the colour bar are pointed because values lie beyond its limits."""
     values = np.concatenate([x[np.isfinite(x)] for x in shown.values])
     low, high = shown.limits
     below, above = bool(np.any(values < low)), bool(np.any(values > high))
@@ -427,7 +432,7 @@ def _extend(shown: Mechanism) -> str:
 
 
 def lit(colours: Array, corners: Array) -> Array:
-    """Return colours (n, 4) of faces, (n, 4, 3), darker the more they turn from the light."""
+    """Return colours (n, 4) of faces, (n, 4, 3), darker where normals point away from the light."""
     normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     length = np.linalg.norm(normals, axis=1)
     across = np.abs(normals @ _LIGHT) / (np.linalg.norm(_LIGHT) * np.where(length, length, 1.0))
@@ -437,7 +442,7 @@ def lit(colours: Array, corners: Array) -> Array:
 
 
 def faded(colours: Array, strength: float) -> Array:
-    """Return colours (n, 4) mixed with white; opaque, so that faces do not add up."""
+    """Return colours (n, 4) mixed with white; opaque, so that overlapping faces do not add up."""
     pale = colours.copy()
     pale[:, :3] = 1.0 - strength * (1.0 - pale[:, :3])
     return pale

@@ -1,7 +1,7 @@
-"""Pictures of a mechanism as it stands and moves, and films of it.
+"""Pictures of a mechanism at one or several times, and animations of its motion.
 
-An animation may be one HTML file that contains data and viewer and loads no other file: places are
-kept as 16 bit integers over the extent of the film, colours as 8 bit.
+An animation may be one HTML file that contains data and viewer and loads no other file: positions
+are stored as 16 bit integers over the extent of the animation, colours as 8 bit integers.
 """
 
 from __future__ import annotations
@@ -52,17 +52,17 @@ from ancfdae.plotting.shapes import Field
 from ancfdae.plotting.symbols import GROUND as GROUND_SIGN
 
 _MARK = "/*DATA*/null"
-# What the viewer can paint; other markers are circles there.
+# Shapes of the HTML viewer by marker; other markers are circles there.
 _SHAPES = {"^": "ground", "s": "square", "d": "diamond", r"$\circlearrowleft$": "turn"}
-# Shade of points without a value, and the largest shade of a value.
+# 8 bit shade of points without a value, and the largest shade of a value.
 _NO_VALUE, _TOP = 255, 254
 
 
 def write_page(
     shown: Mechanism, file: Path, seconds: float, title: str, camera: tuple[float, float] = CAMERA
 ) -> None:
-    """Write the animation of a mechanism, `seconds` long, as one page of HTML."""
-    # No text of the data may end the script that it stands in.
+    """Write the animation of a mechanism, of duration `seconds`, as one HTML file."""
+    # No text in the data may contain the end tag of the script.
     data = json.dumps(page_data(shown, seconds, title, camera), allow_nan=False).replace(
         "</", "<\\/"
     )
@@ -74,7 +74,7 @@ def write_page(
 def page_data(
     shown: Mechanism, seconds: float, title: str, camera: tuple[float, float] = CAMERA
 ) -> dict[str, Any]:
-    """Return the data that the program in the page reads, as JSON can hold them."""
+    """Return the data of an animation that the script of the HTML page reads, for JSON."""
     low, high = (_spatial(x) for x in shown.bounds)
     span, faces = high - low, shown.faces
     x = _spatial(np.concatenate([*shown.places], axis=1))
@@ -90,7 +90,7 @@ def page_data(
         "span": span.tolist(),
         "points": x.shape[1],
         "places": _packed(np.round(65535 * (x - low) / scale), np.uint16),
-        # Body by body: in the plane later ones cover earlier ones.
+        # Triangles in the order of the bodies: in the plane later bodies cover earlier ones.
         "triangles": _packed(faces[:, [0, 1, 2, 0, 2, 3]], np.uint32),
         "shades": _packed(_shades(shown), np.uint8),
         "map": _packed(255 * colour_map(shown)(np.linspace(0, 1, 256)), np.uint8),
@@ -111,7 +111,7 @@ def _spatial(x: Array) -> Array:
 
 
 def _shades(shown: Mechanism) -> Array:
-    """Return the field as numbers from 0 to 254, or 255 where there is none, shape (k, n)."""
+    """Return the field as integers from 0 to 254, or 255 where it does not exist, (k, n)."""
     if shown.field is None:
         return np.full([len(shown.motion.t), sum(x.shape[1] for x in shown.places)], _NO_VALUE)
     values = np.concatenate(shown.values, axis=1)
@@ -121,7 +121,7 @@ def _shades(shown: Mechanism) -> Array:
 
 
 def _signs(shown: Mechanism) -> tuple[Array, list[dict[str, Any]]]:
-    """Return the points of all signs, (k, n, d), and what each is with how many of them."""
+    """Return the points of all symbols, (k, n, d), and style and number of points of each."""
     glyphs = Glyphs(shown)
     parts: list[Array] = []
     items: list[dict[str, Any]] = []
@@ -157,9 +157,9 @@ def _signs(shown: Mechanism) -> tuple[Array, list[dict[str, Any]]]:
 # -- pictures and films ------------------------------------------------------------------------
 
 
-# Instants of a picture where none are asked for, and the faintest of them.
+# Default number of times in a picture, and strength of the faintest.
 _INSTANTS, _FAINT = 5, 0.22
-# Look of the frame in which a notebook shows a page.
+# Style of the frame in which a notebook shows an HTML page.
 _FRAME = "width: 100%; height: 32rem; border: 0"
 
 
@@ -172,32 +172,34 @@ def snapshots(
     limits: Sequence[float] | None = None,
     camera: Sequence[float] | None = None,
 ) -> Figure:
-    """Draw a mechanism as declared, or at several instants of a motion in one picture.
+    """Draw a mechanism as declared, or at several times of a motion in one picture.
 
-    Bodies stand with their sections, joints and loads with signs that the legend names, and forces
-    with arrows as long as they are large. Earlier instants are fainter. The figure is for `save`.
+    Bodies are drawn with their sections, joints and loads with symbols that the legend explains,
+    and forces as arrows of proportional length. Earlier times are fainter. The figure is for
+    `save`.
 
     Parameters
     ----------
     scene : Scene
         At the design values of the solution: see `Scene.with_values`.
     solution : Solution, optional
-        Without it the scene as declared, before any assembly: joints that do not meet are seen.
+        Without it the scene is drawn as declared, before any assembly: open joints are visible.
     times : sequence of float, optional
-        Instants, increasing; s. By default five equally spaced ones, or the one of a state of rest.
+        Increasing times; s. By default five equally spaced ones, or the single one of an
+        equilibrium.
     colour : Field, optional
         `StrainEnergyDensity()`, `VonMisesStress()`, `AxialForce()`, `BendingMoment()`, `Speed()` or
         `Sensitivity(variable)`. Bodies without the quantity are grey.
     limits : (float, float), optional
         Values of the first and the last colour; by default the least and the largest.
     camera : (float, float), optional
-        Elevation above the plane x y and azimuth from where space is seen; degrees. (0, -90) shows
+        Elevation above the plane x y and azimuth of the viewpoint in space; degrees. (0, -90) shows
         x to the right and z upwards, (90, -90) x and y.
 
     Raises
     ------
     InvalidInputError, UnknownNameError
-        If the solution is not that of the scene, or lacks what is asked for.
+        If the solution belongs to another scene, or lacks data for the colours.
     """
     require_text("snapshots, title", title)
     seen = _camera("snapshots", scene, camera)
@@ -218,7 +220,7 @@ def snapshots(
 @final
 @dataclass(frozen=True)
 class Film:
-    """A film that `animate` wrote, which shows in the cell of a notebook.
+    """An animation that `animate` wrote; a notebook shows it as the result of a cell.
 
     Attributes
     ----------
@@ -229,11 +231,11 @@ class Film:
     path: Path
 
     def __fspath__(self) -> str:
-        """Return the name of the file, so that `open` and `Path` take the film."""
+        """Return the path of the file, so that `open` and `Path` accept the object."""
         return str(self.path)
 
     def _repr_html_(self) -> str:
-        """Return the film itself, embedded, so that the notebook needs no other file."""
+        """Return HTML with the animation embedded, so that the notebook needs no other file."""
         if self.path.suffix == ".html":
             text = html.escape(self.path.read_text(encoding="utf-8"))
             return f'<iframe srcdoc="{text}" style="{_FRAME}"></iframe>'
@@ -256,29 +258,30 @@ def animate(
     camera: Sequence[float] | None = None,
     progress: bool = False,
 ) -> Film:
-    """Write a film of a motion: GIF, MP4, or a page to turn and zoom, by the suffix of the path.
+    """Write an animation of a motion as GIF, MP4 or interactive HTML page, by the path's suffix.
 
-    A notebook shows the film where the call is the last line of a cell.
+    A notebook shows the animation if the call is the last line of a cell.
 
     Parameters
     ----------
     scene, solution, colour, title, limits, camera
-        As in `snapshots`; a page starts from the camera.
+        As in `snapshots`; a page starts with this camera.
     path : str or path
         Ends with ``.gif``; with ``.mp4``, for which the program ffmpeg must be installed; or with
-        ``.html``: a page that needs nothing else and no network, with play, pause, a slider, and in
-        space a view that turns.
+        ``.html``: a page that loads no other file and needs no network, with play, pause, a slider,
+        and in space a view that can be rotated.
     frames, seconds : int, float
-        Number of pictures, equally spaced over the motion, and how long the film takes; s.
+        Number of pictures, equally spaced over the motion, and duration of the animation; s.
     dpi, progress : int, bool
-        Of GIF and MP4: dots per inch of their 7.5 inches, and whether a bar shows how far they are.
+        For GIF and MP4: dots per inch (of a width of 7.5 inches), and whether to show a progress
+        bar.
 
     Raises
     ------
     InvalidInputError, MissingPackageError
         As in `snapshots`, and for another suffix; for MP4 without ffmpeg.
     SaveError
-        As on a full disk; a file that was there before is kept.
+        If the file cannot be written, for example on a full disk; an existing file is kept.
     """
     file = checked_path("animate", path, (".gif", ".mp4", ".html"))
     require_count("animate, frames", frames, "For example 80.")
@@ -308,7 +311,7 @@ def _require_ffmpeg() -> None:
 
 
 def checked_path(where: str, path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:
-    """Return a path with one of some suffixes; InvalidInputError for another."""
+    """Return a path that ends with one of `suffixes`; raise InvalidInputError for others."""
     file = require_path(f"{where}, path", path)
     if file.suffix not in suffixes:
         rule = f"must be a path that ends with {' or '.join(suffixes)}"
@@ -319,7 +322,7 @@ def checked_path(where: str, path: str | os.PathLike[str], suffixes: tuple[str, 
 
 
 def _camera(where: str, scene: Scene, camera: Sequence[float] | None) -> tuple[float, float]:
-    """Return elevation and azimuth; InvalidInputError in the plane, which is seen from above."""
+    """Return elevation and azimuth, degrees; InvalidInputError if given for a planar scene."""
     if camera is None:
         return CAMERA
     require_vector(f"{where}, camera", camera, (2,))
@@ -344,7 +347,7 @@ def _film(
 
     writers: dict[str, Any] = {".gif": animation.PillowWriter, ".mp4": animation.FFMpegWriter}
     figure, brush = canvas(shown, title, True, camera)
-    # Found once: it takes longer than all the rest of a frame.
+    # The layout is computed once: it takes longer than the rest of a frame.
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
     brush.settle(figure)
@@ -364,7 +367,7 @@ def _film(
 
 
 def _freeze(figure: Figure, brush: Painter, dpi: int) -> None:
-    """Put an image of all that stands still behind what moves; drawing it takes longer."""
+    """Replace all that does not move by an image behind the axes, which is drawn faster."""
     drawing: Any = FigureCanvasAgg(figure)
     figure.set_dpi(dpi)
     drawing.draw()
@@ -378,7 +381,7 @@ def _freeze(figure: Figure, brush: Painter, dpi: int) -> None:
 
 
 def _label_instants(brush: Painter, drawn: Mechanism) -> None:
-    """Write instants beside the point that travels farthest, where it left room."""
+    """Write the times beside the point that travels farthest, where labels do not overlap."""
     travel = [np.linalg.norm(np.diff(x, axis=0), axis=-1).sum(axis=0) for x in drawn.places]
     if not any(len(x) for x in travel):
         return
@@ -386,7 +389,7 @@ def _label_instants(brush: Painter, drawn: Mechanism) -> None:
     track: Array = drawn.places[mesh][:, int(np.argmax(travel[mesh]))]
     shown: list[int] = []
     for k in reversed(range(len(track))):
-        # Letters are about so high.
+        # Height of a label relative to the extent: about 0.04.
         if not shown or np.linalg.norm(track[k] - track[shown[-1]]) > 0.04 * brush.extent:
             shown.append(k)
     for k in shown:

@@ -1,6 +1,6 @@
-"""Bodies as meshes that the coordinates move, and fields of numbers that colour them.
+"""Meshes of bodies, moved by the coordinates, and fields of numbers that colour them.
 
-Places are those of material points, exact in the shape functions. What depends on the design is
+Positions are those of material points, exact in the shape functions. Functions of the design are
 complex-safe, so that derivatives are complex steps.
 """
 
@@ -29,20 +29,20 @@ from ancfdae.model.elements.continuum import prepare
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.rotations import generators
 
-# Stations along a beam, at least, and rows of cells over the height of a planar one: a circle in
-# eight elements looks round, and bending stresses show their change of sign.
+# Least number of stations along a beam, and rows of cells over the height of a planar one: a circle
+# of eight elements looks round, and the change of sign of bending stresses is visible.
 _STATIONS, _ROWS = 24, 4
-# Points around circles, and from pole to pole of a sphere.
+# Number of points around circles, and of intervals from pole to pole of a sphere.
 _AROUND, _POLES = 24, 12
-# Keeps 1 + cos of an angle from zero.
+# Added to 1 + cos of an angle, so that it is not zero.
 _LEAST = 1e-12
 
 
 class Mesh(abc.ABC):
-    """Points and faces of one body.
+    """Points and faces of the surface of one body.
 
-    `faces` are the points of each face, (n_faces, 4): a triangle repeats its last one; `loop` those
-    of the closed outline in the plane, (n_loop,).
+    `faces` are the point indices of each face, (n_faces, 4): a triangle repeats its last one;
+    `loop`, (n_loop,), are those of the closed outline in the plane.
     """
 
     name: str
@@ -51,32 +51,33 @@ class Mesh(abc.ABC):
 
     @abc.abstractmethod
     def places(self, q: Array, move: int | None = None) -> Array:
-        """Return the places of the points, shape (k, n, d), complex where q is.
+        """Return the positions of the points, shape (k, n, d), m; complex where q is complex.
 
-        With `move` at places of the design variable of this number moved by an imaginary step.
+        With `move` they are taken with this design variable perturbed by an imaginary step.
         """
 
     @final
     def velocities(self, q: Array, v: Array) -> Array:
-        """Return the velocities of the points, shape (k, n, d)."""
+        """Return the velocities of the points of the mesh, shape (k, n, d); m/s."""
         return self.places(q + 1j * STEP * v).imag / STEP
 
     @final
     def sensitivities(self, q: Array, q_b: Array, number: int) -> Array:
-        """Return the total derivative of the places in a design variable, shape (k, n, d).
+        """Return the total derivatives of the positions in a design variable, shape (k, n, d).
 
-        `q_b`, (k, n_q), is that of the coordinates.
+        `q_b`, (k, n_q), are the derivatives of the coordinates, `number` is the index of the
+        variable.
         """
         return self.places(q + 1j * STEP * q_b, number).imag / STEP
 
 
 @final
 class BeamMesh(Mesh):
-    """The surface of a beam, in the plane the area between its lowest and highest fibres.
+    """The surface of a beam; in the plane the area between its lowest and highest fibres.
 
-    `elements` are None if it is rigid; `sections` are those of the scene. Its points lie at the
-    places xi, (n_xi,), of every element and at fibres y, z, (n, n_f); they are numbered element by
-    element, station by station.
+    `elements` is None if the beam is rigid; `sections` belongs to the scene. Points lie at the
+    reference coordinates xi, (n_xi,), of every element and at fibres y, z, (n, n_f); they are
+    numbered element by element, station by station.
     """
 
     def __init__(
@@ -113,7 +114,7 @@ class BeamMesh(Mesh):
         self.faces, self.loop = self._connected()
 
     def places(self, q: Array, move: int | None = None) -> Array:
-        """R + y r_y + z r_z; of an element without them axes across its centre line."""
+        """Return positions r + y r_y + z r_z; cables use axes across their centre line."""
         at, shape = self._along(q, move), (len(q), *self.shape[:2], 1, self.body.dimension)
         x = at[Quantity.POSITION].reshape(shape)
         for slope, offset in ((Quantity.SLOPE_Y, self.y), (Quantity.SLOPE_Z, self.z)):
@@ -122,14 +123,14 @@ class BeamMesh(Mesh):
         return x.reshape(len(q), -1, shape[-1])
 
     def axis(self, q: Array) -> tuple[Array, Array]:
-        """Return centre line and height direction of the section, shape (k, n, n_xi, d) each."""
+        """Return centre line, m, and unit height axis of the section, (k, n, n_xi, d) each."""
         at, shape = self._along(q, None), (len(q), *self.shape[:2], self.body.dimension)
         up = at[Quantity.SLOPE_Y].reshape(shape)
         up = up / np.linalg.norm(up, axis=-1, keepdims=True)
         return at[Quantity.POSITION].reshape(shape), up
 
     def _along(self, q: Array, move: int | None) -> dict[Quantity, Array]:
-        """Return vectors at all stations, shape (k, n n_xi, d) each."""
+        """Return position and slope vectors at all stations, shape (k, n n_xi, d) each."""
         at = {
             quantity: (vectors if move is None else vectors.moved(move)).of(q)
             for quantity, vectors in self._vectors.items()
@@ -141,12 +142,15 @@ class BeamMesh(Mesh):
         return at
 
     def _carried(self, tangent: Array) -> dict[Quantity, Array]:
-        """Return the axes across a cable: the declared axes, turned least to follow its tangent."""
+        """Return the axes across a cable: the declared ones, rotated with the tangent.
+
+        The rotation is the smallest one from the declared direction to the tangent.
+        """
         if self.body.dimension == 2:
             return {Quantity.SLOPE_Y: tangent @ generators(2)[0].T}
         start, *across = self.body.directions()
         both, slopes = start + tangent, (Quantity.SLOPE_Y, Quantity.SLOPE_Z)
-        # Half a turn has no least one: any will do.
+        # For half a turn the smallest rotation is not unique: any will do.
         share = (tangent @ np.stack(across, axis=1)) / (1 + _LEAST + tangent @ start)[..., None]
         return {
             slope: e - share[..., k, None] * both
@@ -155,7 +159,7 @@ class BeamMesh(Mesh):
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Elements, stations and fibres."""
+        """Numbers of elements, of stations per element, and of fibres per station."""
         return len(self.y), len(self.xi), self.y.shape[1]
 
     def _stations(self, naming: SceneNaming) -> list[MaterialPoint]:
@@ -165,7 +169,7 @@ class BeamMesh(Mesh):
         return [MaterialPoint(self.name, fraction) for fraction in along.ravel().tolist()]
 
     def _connected(self) -> tuple[Array, Array]:
-        """Join stations by faces, and close the ends in space."""
+        """Return faces between the stations, with caps on the ends in space, and the outline."""
         numbers = np.arange(np.prod(self.shape)).reshape(self.shape)
         if self.body.dimension == 2:
             rows = numbers.reshape(-1, self.shape[2])
@@ -183,7 +187,7 @@ class BeamMesh(Mesh):
 
 @final
 class RigidMesh(Mesh):
-    """The shape of a rigid body; no faces if only its mass and inertia are known."""
+    """The surface of a rigid body; without faces if only its mass and inertia are known."""
 
     def __init__(self, body: RigidBody, naming: SceneNaming, n_q: int) -> None:
         self.name, self.body = body.name, body
@@ -194,19 +198,19 @@ class RigidMesh(Mesh):
         self._places = Vectors.of_points(vectors, body.dimension, n_q, naming.lengths_b.shape[1])
 
     def places(self, q: Array, move: int | None = None) -> Array:
-        """R + x d_1 + y d_2 + z d_3."""
+        """Return the positions r + x d_1 + y d_2 + z d_3 of the points, (k, n, d); m."""
         return self._places.of(q)
 
 
 def _cap(loop: Array) -> Array:
-    """Fill a contour by strips between level points of its sides."""
+    """Return faces that fill a contour by strips between opposite points of its sides."""
     half = len(loop) // 2
     up, down = loop[:half], loop[: half - 1 : -1]
     return np.stack([up[:-1], up[1:], down[1:], down[:-1]], axis=-1)
 
 
 def _solid(shape: BodyShape | None, d: int) -> tuple[Array, Array, Array]:
-    """Points in the axes of the body, faces and outline."""
+    """Return points in the axes of the body, faces and outline of a shape."""
     none = np.zeros((0, 4), dtype=np.int64)
     if shape is None:
         return np.zeros((0, 3)), none, none[:, 0]
@@ -224,7 +228,7 @@ def _seen_along_z(shape: BodyShape) -> Array:
 
 
 def _surface(shape: BodyShape) -> tuple[Array, Array]:
-    """Rings of points, joined by faces, with ends that close it."""
+    """Return points of a closed surface in rings, (n, 3), m, and its faces."""
     up = np.array([0.0, 0.0, 1.0])
     if isinstance(shape, RigidBox):
         rings = [_rectangle(shape) + sign * shape.width / 2 * up for sign in (-1, 1)]
@@ -246,13 +250,13 @@ def _rectangle(shape: RigidBox) -> Array:
 
 
 def _circle(radius: float) -> Array:
-    """Return a polygon whose points are level in pairs."""
+    """Return a polygon of a circle, (n, 3), whose points have equal heights in pairs."""
     angle = (np.arange(_AROUND) + 0.5) * 2 * np.pi / _AROUND
     return radius * np.stack([-np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
 
 
 def _radius(shape: BodyShape) -> float:
-    """Radius of the ball of the same spread: of shapes of a user's own no more is known."""
+    """Return the radius, m, of a ball with the radius of gyration of a user's own shape."""
     _, means = shape.moments(np.array(list(shape.parameters().values()), dtype=float))
     return float(np.sqrt(5 * np.mean(means)))
 
@@ -260,19 +264,19 @@ def _radius(shape: BodyShape) -> float:
 # -- fields ------------------------------------------------------------------------------------
 
 
-# Of the forces and moments in a section, as `SectionLaw.forces` has them.
+# Indices of the axial force and the torque in the vector of section forces of `SectionLaw`.
 _AXIAL, _TORQUE = 0, 3
 
 
 class Field(abc.ABC):
-    """A number at every point of a mesh: the base of what pictures are coloured by.
+    """A scalar at every point of a mesh, by which pictures are coloured.
 
     Attributes
     ----------
     label : str
         Quantity and unit.
     signed : bool
-        Whether its sign counts, so that colours part at zero.
+        Whether its sign matters, so that the colour scale is symmetric about zero.
     """
 
     signed = False
@@ -280,25 +284,25 @@ class Field(abc.ABC):
     @property
     @abc.abstractmethod
     def label(self) -> str:
-        """Quantity with its unit, for the colour bar."""
+        """Name of the field with its unit, for the colour bar."""
 
     @abc.abstractmethod
     def values(self, mesh: Mesh, motion: Solution) -> Array:
-        """Return the values at the instants of a solution, shape (k, n); NaN where there are none.
+        """Return the values at the times of a solution, (k, n); NaN where they do not exist.
 
         Raises
         ------
         InvalidInputError
-            If the solution or the element lacks what the field is made of.
+            If the solution or the element lacks the data of the field.
         """
 
 
 class _OfBeams(Field):
-    """A field that only beams that deform have."""
+    """A field that only flexible beams have."""
 
     @final
     def values(self, mesh: Mesh, motion: Solution) -> Array:
-        """Values of `on_beam` at the points of a mesh, (k, n points); NaN for rigid bodies."""
+        """Return the field at the points of a mesh, (k, n points); NaN for rigid bodies."""
         if not isinstance(mesh, BeamMesh) or mesh.elements is None:
             return np.full(mesh.places(motion.q).shape[:2], np.nan)
         values = np.broadcast_to(self.on_beam(mesh, motion), (len(motion.t), *mesh.shape))
@@ -312,18 +316,18 @@ class _OfBeams(Field):
 @final
 @dataclass(frozen=True)
 class StrainEnergyDensity(_OfBeams):
-    """Strain energy over volume, the mean over each element; J/m^3."""
+    """Strain energy per volume, averaged over each element, as a colour; J/m^3."""
 
     label = "strain energy density [J/m³]"
 
     def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
-        """Energy of each element over its volume."""
+        """Return the energy of each element over its volume, shape (k, n, 1, 1); J/m^3."""
         elements = mesh.elements
         assert elements is not None
         law = prepare(elements.element, elements.batch)
         Y = elements.relative(motion.q[:, elements.coordinates])
         energy = elastic.energy(law.A, law.g_o, Y, law.bending)
-        # m holds the mass of an element as what moves with both of its positions.
+        # The mass of an element is the sum of the entries of m for the positions of its two nodes.
         positions = slice(None, None, elements.element.n_s)
         mass = law.m[:, positions, positions].sum(axis=(1, 2))
         density: Array = energy * elements.batch.parameters[:, ElementParameter.DENSITY] / mass
@@ -333,12 +337,12 @@ class StrainEnergyDensity(_OfBeams):
 @final
 @dataclass(frozen=True)
 class VonMisesStress(_OfBeams):
-    """Von Mises' stress as the observable `von_mises` has it; Pa."""
+    """Von Mises' stress as a colour, as the observable `von_mises`; Pa."""
 
     label = "von Mises stress [Pa]"
 
     def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
-        """Stresses at all points."""
+        """Return the stresses at all points, shape (k, n, n_xi, n_f); Pa."""
         elements = mesh.elements
         assert elements is not None
         points = StressPoints(elements, mesh.xi, lambda _: (mesh.y, mesh.z))
@@ -348,25 +352,25 @@ class VonMisesStress(_OfBeams):
 
 
 class _SectionForce(_OfBeams):
-    """A force or moment of the section."""
+    """A force or moment of the section as a colour."""
 
     signed = True
 
     @property
     @abc.abstractmethod
     def component(self) -> int:
-        """Index of the component in the vector of section forces."""
+        """Index of this force or moment among N, V_y, V_z, T, M_y, M_z."""
 
     @final
     def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
-        """Return the section force, the same at all fibres of a section."""
+        """Return the section force at all stations, the same at all fibres of a section."""
         return section_forces(mesh, motion)[..., [self.component]]
 
 
 @final
 @dataclass(frozen=True)
 class AxialForce(_SectionForce):
-    """Axial force, positive in tension, as the observable `axial_force`; N."""
+    """Axial force as a colour, positive in tension, as the observable `axial_force`; N."""
 
     component = _AXIAL
     label = "axial force [N]"
@@ -375,7 +379,7 @@ class AxialForce(_SectionForce):
 @final
 @dataclass(frozen=True)
 class BendingMoment(_SectionForce):
-    """Bending moment, as the observable `bending_moment`; N m.
+    """Bending moment as a colour, as the observable `bending_moment`; N m.
 
     Parameters
     ----------
@@ -393,7 +397,7 @@ class BendingMoment(_SectionForce):
 
     @property
     def component(self) -> int:
-        """Index of M_y or M_z in the vector of section forces."""
+        """Index of M_y or M_z among N, V_y, V_z, T, M_y, M_z."""
         return _TORQUE + self.about
 
     label = "bending moment [N m]"
@@ -402,19 +406,19 @@ class BendingMoment(_SectionForce):
 @final
 @dataclass(frozen=True)
 class Speed(Field):
-    """Size of the velocity; m/s."""
+    """Magnitude of the velocity as a colour; m/s."""
 
     label = "speed [m/s]"
 
     def values(self, mesh: Mesh, motion: Solution) -> Array:
-        """Size of the velocity of every point."""
+        """Return the magnitude of the velocity of every point, shape (k, n); m/s."""
         return np.asarray(np.linalg.norm(mesh.velocities(motion.q, motion.v), axis=-1))
 
 
 @final
 @dataclass(frozen=True)
 class Sensitivity(Field):
-    """How far a change of a design variable moves each point: |dr/db|, of a material point.
+    """Magnitude |dr/db| of the derivative of a point's position in a design variable, as a colour.
 
     Parameters
     ----------
@@ -429,11 +433,11 @@ class Sensitivity(Field):
 
     @property
     def label(self) -> str:
-        """Quantity with its unit, for the colour bar."""
+        """Name of the field with its unit, for the colour bar."""
         return f"|dr/db|, b = {self.variable} [m per unit of b]"
 
     def values(self, mesh: Mesh, motion: Solution) -> Array:
-        """Size of the derivative of every place."""
+        """Return |dr/db| of every point, shape (k, n); m per unit of the variable."""
         number = motion.design_index(self.variable)
         assert motion.sensitivities is not None  # as was just seen
         q_b = motion.sensitivities.q_b[..., number]
@@ -441,7 +445,7 @@ class Sensitivity(Field):
 
 
 def section_forces(mesh: BeamMesh, motion: Solution) -> Array:
-    """Return N, V_y, V_z, T, M_y and M_z of a beam that deforms, shape (k, n, n_xi, 6)."""
+    """Return N, V_y, V_z, T, M_y, M_z of a flexible beam, shape (k, n, n_xi, 6); N and N m."""
     places = ((k, xi) for k in range(mesh.shape[0]) for xi in mesh.xi.tolist())
     laws = (mesh.sections.forces_in(mesh.name, *place) for place in places)
     forces = np.stack([law.values(motion.q, motion.v) for law in laws], axis=1)

@@ -1,4 +1,4 @@
-"""Joints, loads and point masses as marks, lines and arrows that move with the mechanism."""
+"""Joints, loads and point masses as markers, lines and arrows that move with the mechanism."""
 
 from dataclasses import dataclass
 from typing import Final, final
@@ -18,14 +18,14 @@ from ancfdae.numerics.arrays import Array
 
 GROUND: Final = Sign("ground", "^", size=12.0)
 _MASS: Final = Sign("point mass", "o", filled=True, size=9.0)
-# Arrows along a beam under a distributed force.
+# Number of arrows along a beam under a distributed force.
 _ALONG: Final = 9
 
 
 @final
 @dataclass(frozen=True)
 class Mark:
-    """A sign at a place: `kind` is the word of a part, or "ground"; places (k, d)."""
+    """A marker at a point at k times: `kind` is the word of a part, or "ground"; places, (k, d)."""
 
     kind: str
     sign: Sign
@@ -36,10 +36,10 @@ class Mark:
 @final
 @dataclass(frozen=True)
 class Line:
-    """A line between two places: `kind` "link", "spring", or "way" along which something moves.
+    """A line between two points at k times, `ends` of shape (k, 2, d); m.
 
-    `ends` has the shape (k, 2, d). The ends of a way are its place and that plus a unit vector: how
-    long it is drawn is a matter of the picture.
+    `kind` is "link", "spring", "frame", or "way": the direction along which a joint slides. The
+    ends of a way are its point and that plus a unit vector; the painter chooses its length.
     """
 
     kind: str
@@ -50,7 +50,7 @@ class Line:
 @final
 @dataclass(frozen=True)
 class Arrows:
-    """Forces or moments at places, (k, n, d) each; a moment in the plane has the shape (k, n, 1).
+    """Forces or moments at points, (k, n, d) each; a moment in the plane has the shape (k, n, 1).
 
     `kind` is "force" (N), "force per length" (N/m) or "moment" (N m).
     """
@@ -63,14 +63,14 @@ class Arrows:
 
 @final
 class Symbols:
-    """Symbols of joints, loads, point masses and ground of a scene, with its reference q_o."""
+    """Symbols of joints, loads, point masses and ground; q_o are the reference coordinates."""
 
     def __init__(self, scene: Scene, naming: SceneNaming, q_o: Array) -> None:
         self._scene, self._naming, self._q_o = scene, naming, q_o
         self._d = scene.dimension
 
     def marks(self, motion: Solution) -> list[Mark]:
-        """Return a mark for each joint, ground that holds one, and point mass."""
+        """Return a marker for each joint, each ground support, and each point mass."""
         marks = []
         for joint in self._scene.joints:
             places = self._places(joint.points[0], motion.q)
@@ -84,7 +84,7 @@ class Symbols:
         ]
 
     def lines(self, motion: Solution) -> list[Line]:
-        """Return links, springs, the axes and ways of joints, and frames of bodies."""
+        """Return lines for links, springs, axes and ways of joints, and frames of bodies."""
         parts: list[Joint | Load] = [*self._scene.joints, *self._scene.loads]
         lines = [
             Line(part.stroke.value, part.name, self._between(part, motion))
@@ -101,7 +101,7 @@ class Symbols:
         return lines
 
     def arrows(self, motion: Solution) -> list[Arrows]:
-        """Return the forces and moments of all loads, as their laws give them."""
+        """Return the forces and moments of all loads over the motion, with their laws."""
         return [arrows for load in self._scene.loads for arrows in self._of_load(load, motion)]
 
     def _of_load(self, load: Load, motion: Solution) -> list[Arrows]:
@@ -150,7 +150,7 @@ class Symbols:
         return Vectors.of_points(vectors, self._d, len(self._q_o), n_b)
 
     def _of(self, names: list[tuple[MaterialPoint, Quantity]], q: Array) -> Array:
-        """Return vectors of points, shape (k, n, d)."""
+        """Return position or slope vectors of points at coordinates q, shape (k, n, d)."""
         return self._vectors(tuple(names)).of(q)
 
     def _places(self, point: MaterialPoint, q: Array) -> Array:
@@ -161,7 +161,7 @@ class Symbols:
         return self._of([(MaterialPoint(beam, x), Quantity.POSITION) for x in fractions], q)
 
     def _ground(self, joint: Joint, places: Array) -> Array | None:
-        """Return where the ground holds a joint: where it is given, or the joint itself."""
+        """Return the ground point of a joint, (k, d), m; None for a joint between bodies."""
         if len(joint.points) > 1 or not joint.shows_ground:
             return None
         if joint.stroke is None:
@@ -176,7 +176,10 @@ class Symbols:
         return np.concatenate([ends, fixed], axis=1)
 
     def _along(self, joint: Joint, direction: Array, motion: Solution) -> Array:
-        """Return a place of a joint, and that plus its direction as the last point carries it."""
+        """Return a point of a joint, and that plus a unit vector along its way; (k, 2, d), m.
+
+        The direction rotates with the last body of the joint.
+        """
         point, e = joint.points[-1], direction / np.linalg.norm(direction)
         places = self._places(joint.points[0], motion.q)
         if len(joint.points) == 1:
@@ -188,7 +191,7 @@ class Symbols:
         return np.stack([places, places + carried], axis=1)
 
     def _frame(self, body: RigidBody, motion: Solution) -> list[Line]:
-        """Return the axes of a body of which only mass and inertia are known, from its centre."""
+        """Return the axes of a body without a shape as lines from its centre."""
         size = self._naming.layout.body(body.name).size
         centre = np.asarray(body.centre, dtype=float)
         ends = [centre, *(centre + size * e for e in np.eye(self._d))]
@@ -198,7 +201,7 @@ class Symbols:
 
 
 def _cross(r: Array, F: Array) -> Array:
-    """Return r x F, with one component in the plane."""
+    """Return r x F, (..., 3), in the plane its single component, (..., 1)."""
     if r.shape[-1] == 3:
         return np.cross(r, F)
     return r[..., :1] * F[..., 1:] - r[..., 1:] * F[..., :1]

@@ -1,8 +1,8 @@
-"""Export for ParaView: surfaces that move, with fields.
+"""Export for ParaView: moving surfaces of the bodies, with fields.
 
-Files are written by pyevtk: pure Python beside NumPy, kept, and made for just this, VTK's XML with
-raw arrays. The package vtk itself is 140 MB, and meshio, which reads the files back in the tests,
-has had no release since January 2024.
+Files are written by pyevtk: pure Python with NumPy, maintained, and made for this purpose, VTK's
+XML with raw arrays. The package vtk itself is 140 MB, and meshio, which reads the files back in the
+tests, has had no release since January 2024.
 """
 
 import os
@@ -43,12 +43,12 @@ def write_vtk(
     path: str | os.PathLike[str],
     times: Sequence[float] | None = None,
 ) -> Path:
-    """Write a motion for ParaView: a .pvd, which lists one .vtu per instant in a folder beside it.
+    """Write a motion for ParaView: a .pvd, which lists one .vtu per time in a folder beside it.
 
-    Points carry displacement from the configuration as declared, velocity, von Mises stress (not
-    if there are cables, or in space sections without a shape), strain energy density, forces and
-    moments of the section, and the derivative of the place in each design variable of the
-    solution; cells the number of their body. What a body does not have is NaN.
+    Points have displacement from the configuration as declared, velocity, von Mises stress (not if
+    there are cables, or in space sections without a shape), strain energy density, forces and
+    moments of the section, and the derivative of the position in each design variable of the
+    solution; cells have the number of their body. Quantities that a body does not have are NaN.
 
     Parameters
     ----------
@@ -57,15 +57,15 @@ def write_vtk(
     path : str or path
         Ends with ``.pvd``.
     times : sequence of float, optional
-        By default all instants of the solution; s.
+        Times to write, by default all times of the solution; s.
 
     Raises
     ------
     InvalidInputError, MissingPackageError
-        As in `snapshots`; if nothing has a surface; without pyevtk, which
-        ``pip install "ancfdae[vtk]"`` brings.
+        As in `snapshots`; if no body has a surface; without pyevtk, which ``pip install
+        "ancfdae[vtk]"`` installs.
     SaveError
-        As on a full disk; files that were there before are kept.
+        If a file cannot be written, for example on a full disk; existing files are kept.
     """
     file = checked_path("write_vtk", path, (".pvd",))
     evtk = require_package("write_vtk", "pyevtk.hl", "vtk")
@@ -81,7 +81,7 @@ def write_vtk(
     with saving("folder", file.parent):
         folder = _folder_beside(file)
     data = point_data(shown, declared)
-    # All instants are written beside the old ones, which they replace together.
+    # The files of all times are written to a temporary folder, then replace old ones together.
     with replacing_path("write_vtk", file) as listed, _folder_for(folder) as new:
         series = group.VtkGroup(str(listed.with_suffix("")))
         for k, t in enumerate(shown.motion.t.tolist()):
@@ -94,7 +94,7 @@ def write_vtk(
 
 
 def _instant(evtk: Any, path: Path, shown: Mechanism, data: dict[str, Array], k: int) -> str:
-    """Write the surface with its fields at instant k; return the path with its suffix."""
+    """Write the surface with its fields at time index k; return the path with its suffix."""
     faces = shown.faces
     bodies = np.repeat(np.arange(len(shown.meshes)), [len(mesh.faces) for mesh in shown.meshes])
     return str(
@@ -112,7 +112,7 @@ def _instant(evtk: Any, path: Path, shown: Mechanism, data: dict[str, Array], k:
 
 @contextmanager
 def _folder_for(folder: Path) -> Iterator[Path]:
-    """Yield a temporary folder beside the folder that takes its files; it is removed."""
+    """Yield a temporary folder beside `folder` for its new files, removed afterwards."""
     new = folder.with_name(f"{folder.name}.{uuid.uuid4().hex}.part")
     new.mkdir()
     try:
@@ -126,7 +126,7 @@ def _at(field: Array, k: int) -> Any:
 
 
 def _folder_beside(file: Path) -> Path:
-    """Return the folder of the name of a file, made if there is none."""
+    """Return the folder with the name of `file` without suffix; create it if it is missing."""
     folder = file.with_suffix("")
     if folder.is_file():
         rule = "must leave the name without suffix free for a folder"
@@ -137,7 +137,7 @@ def _folder_beside(file: Path) -> Path:
 
 
 def point_data(shown: Mechanism, declared: Mechanism) -> dict[str, Array]:
-    """Return fields at all points by name: vectors (k, n, d) or numbers (k, n)."""
+    """Return fields at all points by name: vectors (k, n, d) or scalars (k, n)."""
     motion = shown.motion
     x = np.concatenate(shown.places, axis=1)
     data = {
@@ -175,7 +175,7 @@ def _has_stress(mesh: Mesh) -> bool:
 
 
 def _section_forces(mesh: Mesh, motion: Solution) -> Array:
-    """Return the forces of the sections at all points, shape (k, n, 6)."""
+    """Return the section forces and moments at all points, shape (k, n, 6); NaN for others."""
     k = len(motion.t)
     if not isinstance(mesh, BeamMesh) or mesh.elements is None:
         return np.full((*mesh.places(motion.q).shape[:2], 6), np.nan)
@@ -184,6 +184,6 @@ def _section_forces(mesh: Mesh, motion: Solution) -> Array:
 
 
 def _components(x: Array) -> tuple[Array, Array, Array]:
-    """Return three arrays in a row each, the third zero in the plane."""
+    """Return the components of vectors, (n, d), as three arrays, the third zero in the plane."""
     columns = [np.ascontiguousarray(x[:, axis]) for axis in range(x.shape[1])]
     return (*columns, np.zeros(len(x)))[:3]  # type: ignore[return-value]

@@ -1,10 +1,10 @@
-"""The discrete equations differentiated: directly (eqs. 21-25), and by their transpose.
+"""Direct differentiation (eqs. 21-25) and the discrete adjoint, its transpose.
 
-**Within a limit of memory** parts of the run are taken again. The run is divided into parts.
-Forward, only the states that some parts begin with are kept; the pass back takes each part again
-from the last of them before it. Which to keep, and which parts to repeat, is the schedule of
-Griewank & Walther (revolve, ACM TOMS 26, 2000) by the library `checkpoint_schedules`, with the
-least repetitions that the number of kept states allows.
+**With a memory limit** the adjoint integrates parts of the run again. The run is divided into
+parts. The forward pass stores checkpoints, the states at the start of some parts; the backward pass
+repeats each part from the last checkpoint before it. Which checkpoints to store, and which parts to
+repeat, is the schedule of Griewank & Walther (revolve, ACM TOMS 26, 2000) by the library
+`checkpoint_schedules`, with the least repetitions for the number of checkpoints.
 """
 
 import re
@@ -42,19 +42,19 @@ from ancfdae.sensitivity.observables.observable import States, remembered, state
 @final
 @dataclass(frozen=True)
 class DirectDifferentiation(Method):
-    """Differentiate the discrete equations step by step.
+    """Gradients by direct differentiation of the discrete equations, step by step.
 
-    The result is the exact derivative of the discrete solution; all design variables are
-    right-hand sides of one factorisation per step.
+    The result is the exact derivative of the discrete solution; all design variables are right-hand
+    sides of one factorisation per step.
     """
 
     def differentiate(self, run: Run) -> Solution:
-        """Return the motion with its design derivatives."""
+        """Return the motion of the run with its design derivatives."""
         return run.solution(sensitivities=True)
 
     @in_one_thread
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
-        """Differentiate all objectives by one run and one forward pass over it (eq. 21)."""
+        """Return value and gradient of every objective by one run and one forward pass (eq. 21)."""
         solution, totals = run.integrals(objectives, differentiated=True, sensitivities=True)
         states, s = states_of(solution), solution.sensitivities
         assert s is not None
@@ -72,18 +72,19 @@ class DirectDifferentiation(Method):
 @final
 @dataclass(frozen=True)
 class Adjoint(GradientMethod):
-    """Run forward once, then backward once per objective.
+    """Gradients by the discrete adjoint: one forward run, then one backward pass per objective.
 
-    The backward pass is the transpose of the recurrence that direct differentiation runs, so
-    the two agree to round-off at any step size. Its cost grows little with the number of design
-    variables: report `performance` measures it with six variables and with a thousand.
+    The backward pass is the transpose of the recurrence of direct differentiation, so the two agree
+    to round-off at any step size. Its cost grows little with the number of design variables: report
+    `performance` measures it with six variables and with a thousand.
 
     Parameters
     ----------
     memory : str or float, optional
         Memory limit for stored states, for example ``"200 MB"``, or a number of bytes. If the run
         needs more, as few parts of it as possible are integrated again during the backward pass
-        (docs/theory/08-adjoint.md). For `HHT` at steps that are known before.
+        (docs/theory/08-adjoint.md). For `HHT` and `Radau` at steps that are known in advance. With
+        events also under error control; the parts are then the phases between events.
     """
 
     memory: str | float | None = None
@@ -97,12 +98,12 @@ class Adjoint(GradientMethod):
 
     @property
     def takes_runs(self) -> bool:
-        """Whether an existing run can be reused: False with `memory`, where parts run again."""
+        """Whether an existing run can be reused: False with `memory`, which repeats parts of it."""
         return self.memory is None
 
     @in_one_thread
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
-        """Differentiate all objectives by one run, and one backward pass over it for each."""
+        """Return value and gradient of every objective by one run and a backward pass for each."""
         system, integrator = run.system, run.integrator
         if not isinstance(integrator, AdjointIntegrator):
             rule, repair = (
@@ -131,12 +132,12 @@ class Adjoint(GradientMethod):
 
 
 _UNITS = {"B": 1, "kB": 10**3, "MB": 10**6, "GB": 10**9}
-# A part is held with its partials and, while these are made, what they are made of.
-_COPIES = 3
+#: Memory of a part over the memory of its states: states, their partials, and intermediate results.
+COPIES = 3
 
 
 def size_of(memory: str | float) -> float:
-    """Return a size in bytes of a number or a text such as ``"200 MB"``."""
+    """Return a size in bytes from a number or a text such as ``"200 MB"``."""
     rule, repair = "must be a size", 'For example "200 MB"; units are B, kB, MB and GB.'
     if not isinstance(memory, str):
         require_positive("memory", memory)
@@ -155,7 +156,7 @@ def size_of(memory: str | float) -> float:
 def checkpointed_gradients(
     run: Run, objectives: Sequence[Objective], method: GradientMethod, memory: float
 ) -> list[Gradient]:
-    """Return value and gradient of every objective; `memory` in bytes is for states of the run.
+    """Return value and gradient of every objective; `memory`, bytes, limits the stored states.
 
     The solution of the results is the last part of the run; its statistics count repeated steps.
     """
@@ -183,13 +184,13 @@ def checkpointed_gradients(
 def division(
     system: MechanicalSystem, steps: int, memory: float, degree: int = 1
 ) -> tuple[int, int]:
-    """Return instants in a part, and states to keep: half of the memory is for each.
+    """Return the number of time points in a part and of checkpoints; each gets half of the memory.
 
-    A part of all instants, and no repetition, where the memory holds that. Steps of `degree`
-    instants stay whole, and what is kept has all of one.
+    One part holds the whole run, without repetition, if the memory suffices. Steps of `degree` time
+    points stay whole; a checkpoint holds all states of one step.
     """
     number = np.dtype(float).itemsize
-    row = number * _COPIES * (3 * system.n_q + system.n_lam + 1)
+    row = number * COPIES * (3 * system.n_q + system.n_lam + 1)
     node = number * degree * (4 * system.n_q + system.n_lam + 1)
     if row * (steps + 1) <= memory:
         return steps, 1
@@ -210,7 +211,7 @@ def schedule(parts: int, kept: int) -> Any:
 
 @final
 class _Watched:
-    """An objective whose observables are followed part by part."""
+    """An objective whose observables are evaluated part by part along a run."""
 
     def __init__(self, system: MechanicalSystem, objective: Objective, grid: TimeGrid) -> None:
         self._system, self._objective, self._grid = system, objective, grid
@@ -218,13 +219,13 @@ class _Watched:
             x: np.zeros(len(grid.t)) for x in cast("list[Reduction]", leaves(objective))
         }
         self._slopes: dict[Reduction, Array] = {}
-        # What observables remember where a part begins.
+        # Values that observables with a memory, such as counts of turns, have where a part starts.
         self._past: dict[int, dict[object, float]] = {0: {}}
         self.value, self.gradient = 0.0, np.zeros(system.n_b)
         self.on: Array | None = None
 
     def look(self, states: States, first: int) -> None:
-        """Note the values at instants from `first` on."""
+        """Store the values of the observables at the time points from index `first` on."""
         require_differentiable(self._system, states.t, states.q, states.v)
         states, last = replace(states, past=self._past[first]), first + len(states.t) - 1
         self._past[last] = {}
@@ -234,7 +235,7 @@ class _Watched:
             self._past[last] |= remembered(nodes)
 
     def close(self) -> None:
-        """Compute the objective from the values at all instants, and its slope in each of them."""
+        """Compute the objective from the values at all time points, and its derivative in each."""
         values, grid = self._values, self._grid
         nodes = evaluated(self._objective, lambda leaf: leaf.of_values(values[leaf], grid))
         value = list(nodes.values())[-1]
@@ -246,9 +247,9 @@ class _Watched:
             self._slopes[reduction] = weight * reduction.slopes_of_values(values[reduction], grid)
 
     def seeds(self, states: States, first: int) -> Seeds:
-        """Return the partials of the objective in the states of a part of the run.
+        """Return partials of the objective in the states of the part that starts at index `first`.
 
-        Its partials in the design variables are added to `gradient`. The first instant of a part
+        Its partials in the design variables are added to `gradient`. The first time point of a part
         is left out, since it is the last one of the part before.
         """
         states = replace(states, past=self._past[first])
@@ -268,7 +269,7 @@ class _Watched:
 
 @final
 class _Backward:
-    """Follows a schedule; the solution `last` is the part that the run ends with."""
+    """Executes a checkpoint schedule; `last` is the solution of the last part of the run."""
 
     last: Solution
 
@@ -278,11 +279,11 @@ class _Backward:
         self._system, self._replay, self._watched = system, replay, watched
         self._ends = [*range(0, len(replay.t) - 1, length), len(replay.t) - 1]
         self._node, self._kept, self._seen = replay.start(), dict[int, Any](), 0
-        # The part that is pulled back next, with the node that it begins with.
+        # The part that the backward pass needs next, with the checkpoint at its start.
         self._held: tuple[Solution, Any] | None = None
 
     def follow(self, action: Any) -> None:
-        """Do what an action of `checkpoint_schedules` says."""
+        """Execute an action of `checkpoint_schedules`: step, store, restore or pull back."""
         match type(action).__name__, action.args:
             case "Forward", (begin, end, keep, hold, _):
                 if keep:

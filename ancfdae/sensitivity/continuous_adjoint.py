@@ -55,18 +55,18 @@ from ancfdae.sensitivity.objectives.reductions import OverTime
 from ancfdae.sensitivity.observables.expression import leaves
 from ancfdae.sensitivity.observables.observable import states_of
 
-# Steps needed for the one-sided differences at the end.
+# Least number of steps, for the one-sided differences at the end.
 _LEAST_STEPS = 4
 
 
 @final
 @dataclass(frozen=True)
 class ContinuousAdjoint(GradientMethod):
-    """Integrate the adjoint equations of the paper backward with HHT-I3.
+    """Gradients by the adjoint equations of the paper, integrated backward with HHT-I3.
 
-    For objectives that are functions of time integrals, on the instants of a run of any integrator.
-    Kept for comparison: `Adjoint` costs the same and is exact for the discrete run. Of second order
-    in even steps, of first order in uneven ones.
+    For objectives that are functions of time integrals, on the output times of a run of any
+    integrator. Provided for comparison: `Adjoint` costs the same and is exact for the discrete run.
+    The error is of second order in even steps, of first order in uneven ones.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class ContinuousAdjoint(GradientMethod):
 
     @in_one_thread
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
-        """Differentiate all objectives by one run, and one integration backward for each."""
+        """Return value and gradient of each objective by one run and a backward run for each."""
         system = run.system
         for objective in objectives:
             if not all(isinstance(leaf, OverTime) for leaf in leaves(objective)):
@@ -119,16 +119,16 @@ class ContinuousAdjoint(GradientMethod):
 def _with_smooth_multipliers(
     system: MechanicalSystem, solution: Solution, progress: bool
 ) -> Solution:
-    """Recompute the multipliers from positions and velocities.
+    """Return the solution with multipliers recomputed from positions and velocities.
 
-    Those of HHT-I3 carry transients of O(h^2) from the start and from changes of the step. (37)
-    would hand them to zeta divided by h^2, and the gradient would err by O(h).
+    Multipliers of HHT-I3 carry transients of O(h^2) from the start and from changes of the step.
+    (37) would divide these by h^2 on the way to zeta, and the gradient would err by O(h).
     """
     accelerations = Accelerations(system, saddle_point(system, 0.0))
     states = list(zip(solution.t[1:], solution.q[1:], solution.v[1:], strict=True))
     bar = progress_bar(progress, states, desc="multipliers", unit="step")
     later = [accelerations.solve(float(t), q, v)[1] for t, q, v in bar]
-    # At the start the reported v has no shift, unlike at later instants.
+    # At the start the reported v has no shift, unlike at later times: extrapolate to the start.
     near, t = slice(0, _LEAST_STEPS), solution.t
     first = scipy.interpolate.BarycentricInterpolator(t[1:][near], later[near])(t[0])
     return replace(solution, lam=np.stack([first, *later]))
@@ -137,7 +137,7 @@ def _with_smooth_multipliers(
 @final
 @dataclass(frozen=True)
 class _Adjoint:
-    """Adjoint variables at one instant; x is the algorithm's mu_tautau, A that at the instant."""
+    """Adjoint variables at one time; x is HHT-I3's algorithmic mu_tautau, A the true one."""
 
     mu: Array
     mu_tau: Array
@@ -148,7 +148,7 @@ class _Adjoint:
 
 @final
 class _BackwardRun:
-    """Adjoint variables of one objective along one run."""
+    """Integrates the adjoint variables of one objective backward along one run."""
 
     def __init__(
         self,
@@ -172,7 +172,7 @@ class _BackwardRun:
         self._coefficients(t)
 
     def _coefficients(self, t: Array) -> None:
-        """P = f_v - M', K = f_q - P' and C = P - M' of every instant, transposed; None for zero."""
+        """Set P = f_v - M', K = f_q - P' and C = P - M' of every time; None for zero."""
         self._P = self._C = self._local.f_v
         if not self._system.traits.constant_mass:
             M_t = np.gradient(self._local.M, t, axis=0, edge_order=2)
@@ -187,7 +187,7 @@ class _BackwardRun:
         return M
 
     def gradient(self, progress: bool) -> Array:
-        """Return the gradient by eq. (42), shape (n_b,)."""
+        """Return the gradient of the objective by eq. (42), shape (n_b,)."""
         system, s = self._system, self._solution
         state, epsilon, gamma = self._end()
         mu, zeta = np.zeros_like(s.q), np.zeros_like(s.lam)
@@ -209,13 +209,13 @@ class _BackwardRun:
             return np.zeros((len(self._w), n))
         density = rows / np.where(self._w == 0, 1.0, self._w)[:, None]
         if self._w[0] == 0:
-            # Radau's quadrature does not see the start: the line through the next two instants.
+            # Radau's quadrature has no weight at the start: extrapolate from the next two times.
             t = self._solution.t
             density[0] = density[1] + (t[0] - t[1]) / (t[2] - t[1]) * (density[2] - density[1])
         return density
 
     def _end(self) -> tuple[_Adjoint, Array, Array]:
-        """Adjoint variables at t_2 with epsilon and gamma (eqs. 38-41)."""
+        """Return the adjoint variables at t_2, epsilon and gamma (eqs. 38-41)."""
         system, s, (first, _) = self._system, self._solution, self._end_rates
         q, v, t = s.q[-1], s.v[-1], float(s.t[-1])
         factors = self._matrices.factor(self._mass(-1), self._local.Phi_q[-1])
@@ -236,7 +236,7 @@ class _BackwardRun:
     def _accelerated(
         self, mu: Array, mu_tau: Array, products: Array, factors: Factorization
     ) -> _Adjoint:
-        """Complete the end state by (36) and the second time derivative of (37)."""
+        """Return the adjoint state at the end time, with mu'' and zeta from (36) and (37)''."""
         first, second = self._end_rates
         pattern, Phi_q = self._system.constraint_pattern, self._local.Phi_q
         moving = np.array([pattern.dot(row, -mu_tau) for row in Phi_q[-3:]])
@@ -245,17 +245,17 @@ class _BackwardRun:
         return _Adjoint(mu, mu_tau, x, zeta, x)
 
     def _forces(self, n: int, mu: Array, mu_tau: Array) -> Array:
-        """K mu + C mu_tau - r."""
+        """Return the adjoint forces K mu + C mu_tau - r at time point n, shape (n_q,)."""
         dot = self._system.pattern.dot_transposed
         force: Array = dot(self._K[n], mu) - self._r[n]
         return force if self._C is None else force + dot(self._C[n], mu_tau)
 
     def _step(self, before: _Adjoint, n: int) -> _Adjoint:
-        """One step of HHT-I3 from t_{n+1} to t_n."""
+        """Return the adjoint variables at t_n by one step of HHT-I3 from t_{n+1}."""
         system, c = self._system, self._steps.of(n + 1)
         scale = 1 + c.alpha
         M = self._mass(n)
-        # As `rescaled`: the step before this one, in reversed time, may be of another size.
+        # As `rescaled` of HHT: the preceding step in reversed time may be of another size.
         last = n + 2 >= len(self._solution.t)
         ratio = 1.0 if last else 1 / self._steps.ratio(n + 1)
         x = before.A + ratio * (before.x - before.A)
@@ -272,7 +272,7 @@ class _BackwardRun:
         return _Adjoint(mu, mu_tau, x, zeta, acceleration(c, x, before.A))
 
     def _start_terms(self, first: _Adjoint) -> Array:
-        """mu^T M v_b - (H_v + (M mu)' - f_v^T mu) q_b at t_1, with mu' = -mu_tau."""
+        """Return mu^T M v_b - (H_v + (M mu)' - f_v^T mu) q_b at t_1, (n_b,), with mu' = -mu_tau."""
         system = self._system
         initial = consistent_start(system, self._matrices, 0.0)[0]
         dot = system.pattern.dot_transposed
@@ -285,7 +285,7 @@ class _BackwardRun:
 
 
 def _end_rates(t: Array) -> tuple[Array, Array]:
-    """Weights of the last three (four) values for the first (second) derivative at the end."""
+    """Return weights of the last three (four) values in the first (second) end derivative."""
     x = t[-4:] - t[-1]
     first = np.linalg.solve(np.vander(x[-3:] / x[-3], increasing=True).T, [0.0, 1.0, 0.0])
     second = np.linalg.solve(np.vander(x / x[0], increasing=True).T, [0.0, 0.0, 2.0, 0.0])

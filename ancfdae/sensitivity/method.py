@@ -1,7 +1,7 @@
-"""Runs that are to be differentiated, their results, and the base class of methods.
+"""Base classes of the sensitivity methods, the runs that they differentiate, and their results.
 
-A run is checked for states where its derivatives would mean nothing. Functions of a user that are
-called with complex numbers must be analytic at its states, and constraints must keep full rank.
+A run is checked for states at which it has no derivative: functions of a user that are called with
+complex numbers must be analytic there, and constraints must keep full rank.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from ancfdae.sensitivity.objectives.objective import NO_TOTALS, NonFiniteObjecti
 from ancfdae.sensitivity.objectives.reductions import read_at_end, totals_of
 from ancfdae.sensitivity.observables.observable import states_of
 
-# Number of states, evenly spaced in the run, at which called functions are tried.
+# Number of states, evenly spaced in the run, at which functions of a user are checked.
 _STATES = 64
-# Nearness to a singular position, relative to the best in a run, from which errors are said to be
-# amplified there; and amplified errors, relative to the coordinates, that are warned of.
+# A run warns of a nearly singular position if it is _NEAR times nearer to losing rank there than at
+# its best state, and if errors so amplified exceed _WRONG times the size of the coordinates.
 _NEAR, _WRONG = 5.0, 0.05
-# Entries of Phi_q up to which singular values are taken.
+# Most entries of Phi_q with which singular values are computed.
 _DENSE = 100_000
 
 
@@ -50,10 +50,10 @@ def require_differentiable(
     v: Array,
     errors: ErrorEstimates | None = None,
 ) -> None:
-    """Check states at times t, shape (k,), with q and v, shape (k, n_q), of a run with `errors`.
+    """Check that a run, (k,) times t and (k, n_q) q and v, has derivatives; `errors` are estimates.
 
-    InvalidInputError if a called function is not analytic at one of them; StabilityWarning if a
-    step passes over a singular position, or if errors are large beside one.
+    Raises InvalidInputError if a user's function is not analytic at one of the states; warns with
+    StabilityWarning if a step passes over a singular position, or if errors are large near one.
     """
     if system.called_functions:
         some = np.unique(np.linspace(0, len(t) - 1, _STATES).astype(int))
@@ -85,8 +85,8 @@ def warn_near_singular(
 ) -> None:
     """Warn of a run whose estimated errors are large where constraints nearly lose rank.
 
-    Along the free motion errors grow there by the nearness to the singular position, to the given
-    power (docs/theory/13-errors.md).
+    Along the free motion errors grow there by the nearness to the singular position, to the power
+    `power` (docs/theory/13-errors.md).
     """
     if errors is None or system.traits.linear_constraints or not system.n_lam:
         return
@@ -112,16 +112,16 @@ def warn_near_singular(
 # -- results and runs --------------------------------------------------------------------------
 
 
-# Derivatives of this size are infinite: derivatives of lists replace 1/0 by 1e150.
+# Larger derivatives count as infinite: derivatives of operation lists replace 1/0 by 1e150.
 _INFINITE = 1e100
 
 
 @final
 @dataclass(frozen=True)
 class Trial:
-    """One run of a search: its steps (zero if it did not end) and processor time, s.
+    """A run of a search for a tolerance: its steps (zero if it did not end), processor time in s.
 
-    `error` is the largest relative bar that this run and the coarser ones of its kind give.
+    `error` is the largest relative error bar from this run and the coarser ones of its kind.
     """
 
     integrator: Integrator
@@ -132,18 +132,18 @@ class Trial:
 
 @dataclass(frozen=True, repr=False)
 class ToleranceSearch(PrintedTable):
-    """Results that every call to a tolerance returns: the tolerance, the choice and all runs.
+    """Base of results of calls with `tolerance`: the tolerance, the chosen integrator, all runs.
 
     Attributes
     ----------
     tolerance : float
-        The tolerance that was asked for; relative.
+        The requested tolerance; relative.
     reached : bool
-        Whether all bars are within it.
+        Whether all error bars are within it.
     integrator : Integrator
-        Of the finest run of the chosen kind.
+        The integrator of the finest run of the chosen kind.
     why : str
-        Why this one, or why the tolerance is out of reach and what it would cost.
+        The reason for this integrator, or why the tolerance is out of reach and its cost.
     trials : tuple of Trial
         All runs in their order.
     """
@@ -156,7 +156,7 @@ class ToleranceSearch(PrintedTable):
 
     @property
     def seconds(self) -> float:
-        """Processor time of all runs, s."""
+        """Processor time of all runs of the search; s."""
         return sum(each.seconds for each in self.trials)
 
     def _runs(self) -> TableText:
@@ -172,25 +172,26 @@ class ToleranceSearch(PrintedTable):
 @final
 @dataclass(frozen=True, repr=False)
 class Accuracy(ToleranceSearch):
-    """Estimated errors of value and gradient of a call to a tolerance.
+    """Error bars of value and gradient that a call with `tolerance` reached.
 
-    The tolerance is relative to the norm of the gradient scaled by the design values,
-    (b_j dpsi/db_j); for a value to the larger of that and its own size.
+    The tolerance is relative to the norm of the gradient scaled by the design values, (b_j
+    dpsi/db_j); for a value to the larger of that norm and the magnitude of the value.
 
     Attributes
     ----------
     value_bar : float
         Estimated bound of the error of the value; unit of the objective.
     gradient_bar : array, shape (n_b,)
-        Estimated bounds of the errors; no proofs: docs/reports/tolerance says how often they hold.
+        Estimated bounds of the errors of the gradient; not proven: docs/reports/tolerance says how
+        often they hold.
     tolerance : float
-        The tolerance that was asked for; relative.
+        The requested tolerance; relative.
     reached : bool
-        Whether all bars are within it.
+        Whether all error bars are within it.
     integrator : Integrator
         The integrator of the finest run of the chosen kind.
     why : str
-        The reason for this integrator, or why the tolerance is out of reach and its price.
+        The reason for this integrator, or why the tolerance is out of reach and its cost.
     trials : tuple of Trial
         All runs in their order.
     seconds : float
@@ -201,7 +202,7 @@ class Accuracy(ToleranceSearch):
     gradient_bar: Array
 
     def to_dataframe(self) -> Any:
-        """Return a table of pandas with a row for each run, in their order."""
+        """Return a pandas table with a row for each run: integrator, steps, seconds and error."""
         rows = [(repr(run.integrator), run.steps, run.seconds, run.error) for run in self.trials]
         return pandas().DataFrame(rows, columns=["run", "steps", "seconds", "error"])
 
@@ -211,9 +212,9 @@ class Accuracy(ToleranceSearch):
 
 @final
 class UnfinishedRunError(AncfdaeError):
-    """A gradient was asked of a run that did not reach its end time.
+    """Raised if a gradient is requested of a run that did not reach its end time.
 
-    `solution` is what was computed, with its outcome.
+    `solution` holds the computed part of the run and its outcome.
     """
 
     def __init__(self, solution: Solution) -> None:
@@ -236,13 +237,14 @@ class Gradient(PrintedTable):
     names : tuple of str
         Names of the design variables.
     method : GradientMethod
+        The method that computed the gradient.
     solution : Solution
-        The run at the design; of a call to a tolerance the finest one, of a call with events the
+        The run at the design; of a call with `tolerance` the finest run, of a call with events the
         last phase.
     accuracy : Accuracy, optional
-        Of a call to a tolerance the bars, and how they were reached.
+        Error bars of a call with `tolerance`, and how they were reached.
     event_solution : EventSolution, optional
-        Of a call with events all phases, and what happened between them.
+        All phases of a call with events, and the events between them.
     """
 
     value: float
@@ -288,9 +290,10 @@ class Gradient(PrintedTable):
 @final
 @dataclass(frozen=True)
 class Run:
-    """A run to be made: a system from t = 0 to `t_end`, with a progress bar or without.
+    """Instructions for a run: a system, an integrator and the end time `t_end` (s) from t = 0.
 
-    `after` is a run to be continued, or the run itself if it reached `t_end`.
+    `after` is a run to be continued, or a finished run to be differentiated. `progress` shows a
+    bar.
     """
 
     system: MechanicalSystem
@@ -307,13 +310,13 @@ class Run:
             require_kind("after", self.after, (Solution,), "Pass what simulate returned.")
 
     def _advised(self, run: Solution) -> Solution:
-        """Return a run that ended early with what modes tell about it, which others do not load."""
+        """Return a failed run with hints from its modes; loads the package `modes` only then."""
         from ancfdae.modes.periods import advised
 
         return advised(self.system, run)
 
     def solution(self, *, sensitivities: bool = False) -> Solution:
-        """Integrate the motion, from `after` if given, with design derivatives if asked for."""
+        """Integrate the motion, from `after` if given, with design derivatives if requested."""
         settings = {"sensitivities": sensitivities, "progress": self.progress}
         if self.after is not None:
             run = self.integrator.resume(self.system, self.t_end, self.after, **settings)
@@ -334,9 +337,9 @@ class Run:
     def integrals(
         self, objectives: Sequence[Objective], *, differentiated: bool, sensitivities: bool = False
     ) -> tuple[Solution, Totals]:
-        """Return a finished run and the integrals that the integrator took beside the motion.
+        """Return a finished run, and the integrals that the integrator took during its steps.
 
-        The run reports few times between its ends if no objective reads these.
+        The run has few output times if no objective reads states between its ends.
         """
         integrator = self.integrator
         if self.after is not None or not isinstance(integrator, QuadratureIntegrator):
@@ -359,7 +362,7 @@ class Run:
         return finished(self._told(run, sensitivities)), totals
 
     def _told(self, run: Solution, sensitivities: bool) -> Solution:
-        """Return a run with advice; refuse one without the derivatives that were asked for."""
+        """Return a run with hints if it failed; reject one without the requested derivatives."""
         contacts = None if self.integrator.checks_contacts else self.system.contacts()
         run = with_contacts(run, contacts) if contacts else run
         if not run.outcome.success:
@@ -374,13 +377,13 @@ class Run:
         return run
 
     def values(self, objectives: Sequence[Objective]) -> tuple[Solution, Array]:
-        """Return a finished run and the values of objectives, without derivatives."""
+        """Return a finished run and the values of the objectives, shape (n,)."""
         solution, totals = self.integrals(objectives, differentiated=False)
         states = states_of(solution)
         return solution, np.array([each.value(self.system, states, totals) for each in objectives])
 
     def at(self, b: Array) -> Run:
-        """Return the same run at other design values b."""
+        """Return the same run at other design values b, shape (n_b,)."""
         return replace(self, system=at_values(self.system, b), after=None)
 
     def repeating(self, solution: Solution) -> Run:
@@ -392,7 +395,7 @@ class Run:
 
 
 class GradientMethod(abc.ABC):
-    """Frozen settings of a method that differentiates objectives of a run."""
+    """Immutable settings of a method that computes gradients of objectives of a run."""
 
     @property
     def takes_runs(self) -> bool:
@@ -405,19 +408,19 @@ class GradientMethod(abc.ABC):
 
 
 class Method(GradientMethod):
-    """A method that differentiates the whole trajectory, and so any objective."""
+    """A method that differentiates the whole trajectory, and so any objective of it."""
 
     @abc.abstractmethod
     def differentiate(self, run: Run) -> Solution:
         """Return the solution with the design derivatives of its trajectory.
 
-        A run that ends early yields derivatives up to the last instant that all runs reached.
+        If a run ends early, derivatives reach to the last time that all runs of the method reached.
         """
 
 
 @contextmanager
 def keeping(solution: Solution) -> Iterator[None]:
-    """Raise UnfinishedRunError, or Interrupted, with the run where a pass back breaks off."""
+    """Raise UnfinishedRunError or Interrupted, with the run, if a backward pass inside fails."""
     try:
         yield
     except (KeyboardInterrupt, SingularMatrix, PassFailed) as error:

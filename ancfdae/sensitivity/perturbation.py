@@ -1,4 +1,4 @@
-"""Whole runs at perturbed designs: finite differences, and the complex step.
+"""Derivatives from whole runs at perturbed designs: finite differences, and the complex step.
 
 Finite differences are the check that the paper uses; the complex step gives derivatives of the
 discrete solution to round-off.
@@ -26,28 +26,29 @@ _STATES = ("q", "v", "a", "lam")
 
 
 class Perturbation(Method):
-    """A run at the design, and one or more with each design variable changed."""
+    """Method that runs at the design, and once or more with each design variable perturbed."""
 
     @abc.abstractmethod
     def check(self, run: Run) -> None:
-        """Refuse, before the first run, what the method does not fit."""
+        """Raise InvalidInputError, before the first run, if the method cannot differentiate it."""
 
     @abc.abstractmethod
     def sizes_of(self, system: MechanicalSystem) -> Array:
-        """Return sizes that changes of the design variables are relative to, shape (n_b,)."""
+        """Return the sizes, (n_b,), to which perturbations of the variables are relative."""
 
     @abc.abstractmethod
     def changes(self, size: float) -> Sequence[complex]:
-        """Return the changes of a design variable of this size, one per run."""
+        """Return the perturbations of a design variable of this size, one per run."""
 
     @abc.abstractmethod
     def quotient(self, size: float, base: Array, moved: Sequence[Array]) -> Array:
-        """Return the derivative from the values of the first run and of the changed ones."""
+        """Return the derivative, shape of `base`, from values of unperturbed and perturbed runs."""
 
     def differentiate(self, run: Run) -> Solution:
-        """Differentiate the trajectory in one variable after the other.
+        """Return the solution with design derivatives of its trajectory, one variable at a time.
 
-        Everything is cut to the shortest run; the outcome is that of the run that ended first.
+        All trajectories are cut to the shortest one; the outcome is taken from the run that ended
+        first.
         """
         self.check(run)
         solution = run.solution()
@@ -69,7 +70,7 @@ class Perturbation(Method):
 
     @in_one_thread
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
-        """Differentiate the objectives of whole runs."""
+        """Return value and gradient of every objective from whole runs."""
         self.check(run)
         solution, base = run.values(objectives)
         slopes = np.zeros((len(objectives), run.system.n_b))
@@ -81,7 +82,7 @@ class Perturbation(Method):
         ]
 
     def _changed(self, run: Run, solution: Solution) -> list[tuple[float, list[Run]]]:
-        """Sizes of the design variables, with the runs at their changes."""
+        """Return for every design variable its size, and its perturbed runs."""
         again, b = run.repeating(solution), run.system.b.real
         sizes, along = self.sizes_of(run.system).tolist(), np.eye(len(b))
         return [
@@ -93,18 +94,18 @@ class Perturbation(Method):
 @final
 @dataclass(frozen=True)
 class FiniteDifference(Perturbation):
-    """Forward or central differences of whole runs.
+    """Gradients by forward or central differences of whole runs.
 
     Parameters
     ----------
     relative_step : float
-        Perturbation of each design variable relative to its value, between 0 and 1; the paper
-        uses 0.01.
+        Perturbation of each design variable relative to its value, between 0 and 1; the paper uses
+        0.01.
     central : bool
-        Whether two runs per variable, at plus and minus, replace one.
+        Whether to use central differences, with two runs per variable in place of one.
     sizes : mapping of str to float, optional
-        What the perturbation of a design variable is relative to, by its name, in place of its
-        value; unit of the variable. A variable that is 0 needs one:
+        Sizes, by name of the design variable, to which perturbations are relative in place of the
+        values; unit of the variable. A variable that is 0 needs one:
         ``FiniteDifference(sizes={"load.force_x": 10.0})``.
     """
 
@@ -126,7 +127,7 @@ class FiniteDifference(Perturbation):
             require_positive(f"{where}[{name!r}]", size)
 
     def check(self, run: Run) -> None:
-        """Refuse a design variable of zero without a size, which nothing would change."""
+        """Raise InvalidInputError for a variable that is zero and has no entry in `sizes`."""
         for name in self.sizes:
             if name not in run.system.design_names:
                 raise UnknownNameError("design variable", name, run.system.design_names)
@@ -141,17 +142,17 @@ class FiniteDifference(Perturbation):
                 )
 
     def sizes_of(self, system: MechanicalSystem) -> Array:
-        """Return the sizes that were given, or the values of the variables, shape (n_b,)."""
+        """Return the given sizes, or else the values of the variables, shape (n_b,)."""
         values = zip(system.design_names, system.b.real.tolist(), strict=True)
         return np.array([self.sizes.get(name, value) for name, value in values])
 
     def changes(self, size: float) -> Sequence[complex]:
-        """Ahead, and behind for central differences."""
+        """Return the forward perturbation, and for central differences the backward one."""
         step = size * self.relative_step
         return (step, -step) if self.central else (step,)
 
     def quotient(self, size: float, base: Array, moved: Sequence[Array]) -> Array:
-        """Return the derivative: difference of values over the perturbation."""
+        """Return the derivative, difference of values over the perturbation; shape of `base`."""
         step = size * self.relative_step
         difference = (moved[0] - moved[1]) / 2 if self.central else moved[0] - base
         return np.asarray(difference / step)
@@ -160,15 +161,15 @@ class FiniteDifference(Perturbation):
 @final
 @dataclass(frozen=True)
 class ComplexStep(Perturbation):
-    """Run the whole simulation at b (1 + i eps), once per design variable.
+    """Gradients by whole runs at complex design values b_i (1 + i eps), one per variable.
 
-    The imaginary part over eps is the derivative, free of subtraction; the independent check
-    of direct differentiation. Needs a system that computes in complex numbers, as every ANCF
-    scene does.
+    The imaginary part over eps b_i is the derivative, free of subtraction: an independent check of
+    direct differentiation. Needs a system that computes in complex numbers, as every ANCF scene
+    does.
     """
 
     def check(self, run: Run) -> None:
-        """Refuse an integrator that computes in real numbers only (IDA, IDAS, DOP853)."""
+        """Raise InvalidInputError for integrators in real numbers only (IDA, IDAS, DOP853)."""
         if run.integrator.real_only:
             raise InvalidInputError(
                 "ComplexStep",
@@ -183,13 +184,13 @@ class ComplexStep(Perturbation):
         return super()._changed(run, solution)
 
     def sizes_of(self, system: MechanicalSystem) -> Array:
-        """Return the absolute values of the design variables, one for zero, shape (n_b,)."""
+        """Return the magnitudes of the design variables, (n_b,), with 1 for a zero variable."""
         return design_sizes(system)
 
     def changes(self, size: float) -> Sequence[complex]:
-        """One imaginary change, far below round-off."""
+        """Return the imaginary perturbation of a design variable, far below round-off."""
         return (1j * STEP * size,)
 
     def quotient(self, size: float, base: Array, moved: Sequence[Array]) -> Array:
-        """Return the derivative: imaginary part of the value over the step."""
+        """Return the derivative, imaginary part of the perturbed value over the step; its shape."""
         return np.asarray(moved[0].imag / (STEP * size))

@@ -1,13 +1,13 @@
-"""The equations of equilibrium on the way to the full load, and Newton's method for them.
+"""Equations of equilibrium on the way to the full load, and Newton's method for them.
 
-The kernel `rest.h` has the method too, for assembled systems.
+The kernel (`rest.h`) has the same method for assembled systems.
 
     Q(q) - Phi_q^T lam - mu M_0 (q - q_a) = (1 - s) (r_0 + P(q)),     Phi(q) = (1 - s) Phi_0
 
-P are the loads that turn with the motion; r_0 = Q - Phi_q^T lam - P and Phi_0 are what is
-unbalanced besides where the search starts, so that the start solves the equations at s = 0. From
-a start free of stress s is the load factor. The term in mu is an implicit step of the motion
-without inertia, M_0 q' = Q - Phi_q^T lam, from q_a.
+P are the follower loads; r_0 = Q - Phi_q^T lam - P and Phi_0 are the other unbalanced forces and
+the violated constraints at the start of the search, so that the start solves the equations at s =
+0. If the start is free of stress, s is the load factor. The term in mu is an implicit step of the
+motion without inertia, M_0 q' = Q - Phi_q^T lam, from q_a.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem, require_no_controllers
+from ancfdae.equations.plans import Plan
 from ancfdae.equations.saddle_points import Prepared, saddle_point, solve, velocity_side
 from ancfdae.errors.kinds import InvalidInputError, SingularMatrix
 from ancfdae.errors.outcomes import Verdict
-from ancfdae.kernels import RULES, Plan, Rest, finite, norm
+from ancfdae.kernels import RULES, Rest, finite, norm
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 
@@ -32,7 +33,7 @@ _CLEAR = 1e-13
 
 
 class RestStart(NamedTuple):
-    """Constants of a search: its start, the unbalanced forces there, scales, and rules."""
+    """Constants of a search: start, unbalanced forces there, scales, limits of Newton's method."""
 
     q_0: Array
     r_0: Array
@@ -45,9 +46,9 @@ class RestStart(NamedTuple):
 
 
 class RestEnd(NamedTuple):
-    """End of a search in the kernel: state, reason, and for a solution its path in s.
+    """End of a search in the kernel: state, reason, and for a solution the path (dq/ds, dlam/ds).
 
-    Where corrections have stopped shrinking the last one stands in place of the path.
+    Where corrections have stopped shrinking, `path` holds the last correction instead.
     """
 
     why: Rest
@@ -61,7 +62,10 @@ class RestEnd(NamedTuple):
 
 @final
 class CompiledRest:
-    """The kernel of one system at one time; `follows` says whether loads turn with the motion."""
+    """Newton's method for the equilibrium of one system at one time, in the kernel.
+
+    `follows` says whether follower loads are scaled along the path; see `Balance`.
+    """
 
     def __init__(
         self,
@@ -90,9 +94,9 @@ class CompiledRest:
         anchor: Array | None,
         iterations: int,
     ) -> RestEnd:
-        """Solve from a guess; with no iterations the state is taken as it is.
+        """Solve at s from the guess q, lam; with no iterations the state is only linearised.
 
-        `gaps` are the part of Phi_0 that is left, and the part that it loses per s.
+        `gaps` are the fraction of Phi_0 that remains, and its decrease per unit of s.
         """
         known, acting = self._known, self._of_loads
         if isinstance(self._kernel.plan, Plan):
@@ -118,12 +122,12 @@ class CompiledRest:
 # Estimated error after the last iteration, relative to positions and to forces: near round-off.
 _TOLERANCE = 1e-13
 _ITERATIONS = 25
-# A sum of forces goes through this many roundings at most, with a margin.
+# Most roundings in a sum of forces, with a margin.
 _ROUNDINGS = 64
 _EPS = float(np.finfo(float).eps)
 # Convergence is measured against a load of at least _SEEN times the round-off of forces.
 _SEEN = 1e7
-# Samples of the round-off of forces, and a margin over the largest of them.
+# Number of samples of the round-off of forces, and margin over the largest of them.
 _SAMPLES = 8
 # Newton's method has diverged if a correction exceeds _FAR times the size of the start, or if
 # corrections have grown _GROWTHS times.
@@ -133,7 +137,7 @@ _FAR, _GROWTHS = 100.0, 4
 @final
 @dataclass
 class SearchCounts:
-    """Counters of a search."""
+    """Counters of the cost of a search for an equilibrium."""
 
     iterations: int = 0
     factorisations: int = 0
@@ -145,7 +149,7 @@ class SearchCounts:
 @final
 @dataclass(frozen=True)
 class Balanced:
-    """A solution at the load fraction s, dq/ds and dlam/ds there, and the last correction.
+    """An equilibrium at the load factor s, dq/ds and dlam/ds there, and the last correction.
 
     `definite` is True if K is known to be positive definite; if False, stability must be checked.
     """
@@ -171,10 +175,11 @@ class Unsolved:
 @final
 @dataclass(frozen=True)
 class Balance:
-    """The equations of one search, which starts at q_0 and lam_0; see the module.
+    """The equations of one search, which starts at q_0 and lam_0; symbols as in the module.
 
-    Unless it `follows`, P is taken for zero: all loads are held as they are at the start. Unless it
-    `closes` them, constraints stay as violated as they are there: Phi = Phi_0 all along.
+    Unless it `follows`, P is zero: follower loads act in full, and the unbalanced forces at the
+    start are removed as constants. Unless it `closes` them, constraints stay as violated as at the
+    start: Phi = Phi_0 for all s.
     """
 
     system: MechanicalSystem
@@ -189,10 +194,10 @@ class Balance:
     def of(
         system: MechanicalSystem, t: float, q_0: Array, lam_0: Array, follows: bool = True
     ) -> Balance:
-        """Check the start and return the equations.
+        """Return the equations of a search from q_0, lam_0, after checking the start.
 
-        InvalidInputError if start or forces are not finite, or controllers have states;
-        `RedundantConstraintsError` if constraints depend on each other.
+        Raises InvalidInputError if start or forces are not finite, or controllers have states;
+        RedundantConstraintsError if constraints are linearly dependent.
         """
         repair = "Leave them out, and hold the mechanism by a spring or a load in their place."
         require_no_controllers("equilibrium", system, repair)
@@ -215,17 +220,17 @@ class Balance:
 
     @cached_property
     def Phi_0(self) -> Array:
-        """Violation of the constraints at the start."""
+        """Values of the constraints at the start, shape (n_lam,)."""
         return self.system.constraint(self.t, self.q_0)
 
     @cached_property
     def M_0(self) -> Array:
-        """Mass at the start, values on the pattern."""
+        """Entries of the mass matrix at the start on the pattern of the system, (nnz,)."""
         return self.system.mass(self.q_0)
 
     @cached_property
     def gyroscopic(self) -> bool:
-        """Whether velocity forces have a part that does no work, as in a turning frame."""
+        """Whether there are gyroscopic forces, which do no work, as in a rotating frame."""
         rest = np.zeros((1, self.system.n_q))
         states = self.q_0.real[None], rest, rest, self.lam_0.real[None]
         f_v = self.system.linearise(np.array([self.t]), *states).f_v
@@ -240,20 +245,20 @@ class Balance:
         return saddle_point(self.system, self.t, self.q_0)
 
     def Phi_q(self, q: Array) -> Array:
-        """Return the constraint Jacobian, values on its pattern."""
+        """Return the constraint Jacobian at q, entries on its pattern, (nnz,)."""
         return self.system.constraint_q(self.t, q)
 
     def reactions(self, Phi_q: Array, lam: Array) -> Array:
-        """Return Phi_q^T lam from values of Phi_q, shape (n_q,)."""
+        """Return the reactions Phi_q^T lam from entries of Phi_q, shape (n_q,)."""
         return self.system.constraint_pattern.dot_transposed(Phi_q, lam)
 
     def unbalanced(self, q: Array, lam: Array, Phi_q: Array | None = None) -> Array:
-        """Return Q - Phi_q^T lam at rest."""
+        """Return the unbalanced forces Q - Phi_q^T lam at zero velocity, shape (n_q,)."""
         Q = self.system.force(self.t, q, np.zeros_like(q))
         return Q - self.reactions(self.Phi_q(q) if Phi_q is None else Phi_q, lam)
 
     def held_back(self, q: Array) -> Array:
-        """Return the forces that the equations lack at s = 0."""
+        """Return the forces r_0 + P(q) that the equations at s = 0 leave out, shape (n_q,)."""
         return self.r_0 + self._following(q)[0]
 
     def _following(self, q: Array) -> tuple[Array, Array]:
@@ -262,7 +267,7 @@ class Balance:
         return np.zeros_like(q), np.zeros(self.system.pattern.size)
 
     def tangent(self, s: float, q: Array, lam: Array) -> Array:
-        """Return K, minus the derivative of the forces in q, values on the pattern."""
+        """Return the tangent stiffness K = -dQ/dq + d(Phi_q^T lam)/dq on its pattern, (nnz,)."""
         rest = np.zeros((1, len(q)))
         K = only(self.system.linearise(np.array([self.t]), q[None], rest, rest, lam[None]).f_q)
         if s < 1.0:
@@ -270,7 +275,7 @@ class Balance:
         return K
 
     def factor(self, K: Array, Phi_q: Array) -> Factorization:
-        """Factorise [K, Phi_q^T; Phi_q, 0]; raises SingularMatrix."""
+        """Return the factors of [K, Phi_q^T; Phi_q, 0]; raises SingularMatrix."""
         self.work.factorisations += 1
         return self.matrices.factor(K, Phi_q)
 
@@ -293,7 +298,7 @@ class Balance:
         mu: float = 0.0,
         anchor: Array | None = None,
     ) -> Balanced | Unsolved:
-        """Return a state that solves the equations as it is, with the derivatives of its path."""
+        """Return a state that already solves the equations, with the derivatives of its path."""
         gaps = gap, float(self.closes)
         return self._counted(s, self._kernel.solve(s, q, lam, gaps, mu, anchor, 0))
 
@@ -306,12 +311,12 @@ class Balance:
         anchor: Array | None = None,
         gap: float | None = None,
     ) -> Balanced | Unsolved:
-        """Solve the equations by Newton's method from a guess q, lam; the anchor is q_a.
+        """Solve the equations by Newton's method from a guess q, lam; `anchor` is q_a.
 
-        With a `gap`, that part of Phi_0 is left instead of what s leaves. Corrections that stop
-        shrinking lead to a solution if they correct round-off.
+        `gap` is the fraction of Phi_0 that remains, by default 1 - s, or 1 if gaps are not closed.
+        Corrections that stop shrinking end at a solution if they are as small as round-off.
         """
-        # The part of Phi_0 that is left at s.
+        # The fraction of Phi_0 that remains at s.
         left = 1.0 - s if self.closes else 1.0
         left, taken = left if gap is None else gap, 0
         gaps = left, float(self.closes)
@@ -362,12 +367,11 @@ class Balance:
         return R, self.system.constraint(self.t, q) - gap * self.Phi_0
 
     def polished(self, q: Array, lam: Array) -> tuple[Array, Array, float] | Unsolved:
-        """Solve the equations of the full load to the last digit, from a solution near it.
+        """Return q, lam of the full load refined to round-off, and the last correction.
 
-        Returns q, lam and the size of the last correction.
-
-        Corrections with one matrix are added as long as they halve; that of a thin or a finely
-        divided beam has few digits. What is left must be round-off, or it is no solution.
+        Corrections with one matrix, from a solution nearby, are added as long as they halve; the
+        matrix of a thin or finely divided beam has few digits. If the remaining forces are more
+        than round-off, the state is no solution.
         """
         K = self.tangent(1.0, q, lam)
         try:
@@ -391,12 +395,12 @@ class Balance:
     def is_round_off(
         self, R: Array, K: Array, q: Array, lam: Array, dq: Array | None = None
     ) -> bool:
-        """Whether forces left are the round-off of this scene; dq is the correction for them.
+        """Return whether unbalanced forces R are round-off; dq is the correction for them.
 
         Coordinates carry eps |q|, which forces multiply by K, and their sums round; all terms by
-        their magnitude. What stays of R is a tenth of this (docs/measurements.md, "Modes").
-        Where that does not explain it, as of a mass near the origin on a spring from afar, the
-        round-off is measured along parts of dq, if that is given.
+        their magnitude. Actual round-off is a tenth of this bound (docs/measurements.md, "Modes").
+        Where the bound is too small, as of a mass near the origin on a spring from afar, round-off
+        is measured along parts of dq, if that is given.
         """
         system, pattern = self.system, self.system.pattern
         blur = pattern.dot(np.abs(K.real), np.abs(q.real))
@@ -406,7 +410,8 @@ class Balance:
         left, least = self.strength(R.real), noise + _ROUNDINGS * _EPS * (force + reactions)
         if left <= least or dq is None:
             return left <= least
-        # Those of places that forces refer to, and of some as far away as the system is large.
+        # Bound for positions at the distance of the points that forces refer to, and of the size
+        # of the system.
         size = np.full(len(q), self.extent / np.sqrt(np.sum(system.weights)) + system.reach)
         most = _ROUNDINGS * _EPS * self.strength(pattern.dot(np.abs(K.real), size))
         return left <= most and left <= _SAMPLES * self._irregular(
@@ -414,7 +419,7 @@ class Balance:
         )
 
     def _irregular(self, K: Array, q: Array, lam: Array, dq: Array) -> float:
-        """Return the size of the change of forces that K does not explain, for q moved by about dq.
+        """Return the size of force changes beyond K dq that random moves of the size of dq cause.
 
         Moves of twice the correction change the round-off of the forces; the curvature of the
         forces, which is of second order, is below it where Newton's method converges.
@@ -428,14 +433,14 @@ class Balance:
         return max(sizes)
 
     def folds(self, before: Array, q: Array) -> bool:
-        """Whether parts are folded at q and none was before."""
+        """Return whether elements are folded at q, and none was at `before`."""
         return bool(self.system.folded(q)) and not self.system.folded(before)
 
     def refuse_motion(self) -> None:
-        """Refuse joints that drive a motion at time t, whose inertia forces would lack.
+        """Raise InvalidInputError if a driver moves at time t: inertia forces would be missing.
 
-        They do if M v^2/|q|, v the velocities that the joints prescribe, is more than the round-off
-        of forces.
+        They matter if M v^2/|q|, v the velocities that the joints prescribe, is more than the
+        round-off of forces.
         """
         system, q = self.system, self.q_0.real
         nu = velocity_side(system, self.t, q).real
@@ -457,27 +462,27 @@ class Balance:
     # -- natural sizes -------------------------------------------------------------------------
 
     def length(self, dq: Array) -> float:
-        """Return the size of a change of coordinates."""
+        """Return the norm of a change of coordinates, weighted by the coordinate weights."""
         return norm(dq, self.system.weights)
 
     @cached_property
     def position(self) -> float:
-        """Size to which coordinates are solved: that of the system, and digits that they have."""
+        """Scale of coordinates: their weighted norm about the mean, plus a term for round-off."""
         seen = 4.0 * _EPS / _TOLERANCE
         return self.length(self.system.centred(self.q_0)) + seen * self.length(self.q_0)
 
     @cached_property
     def extent(self) -> float:
-        """Size of the system, wherever it stands, or of coordinates of one where all vanish."""
+        """Weighted norm of the coordinates about their mean; of the coordinates if that is zero."""
         size = self.length(self.system.centred(self.q_0))
         return size or self.length(self.q_0) or float(np.sqrt(np.sum(self.system.weights)))
 
     def strength(self, Q: Array) -> float:
-        """Return the size of generalised forces."""
+        """Return the norm of generalised forces in the inverse coordinate weights."""
         return norm(Q, 1 / self.system.weights)
 
     @cached_property
     def load(self) -> float:
-        """Size of the load at the start, and no less than its round-off."""
+        """Norm of the load at the start; at least a multiple of the round-off of forces."""
         least = _SEEN * self.system.traits.force_round_off
         return max(self.strength(self.held_back(self.q_0)), least, float(np.finfo(float).tiny))

@@ -1,13 +1,14 @@
 """Critical points of a parameter p: where an equilibrium loses its stiffness.
 
-With one coordinate held (`held_coordinate.py`) equilibria are tau(a, p) = 0. At a limit point
-tau = tau_a = 0. Where two paths cross, at a bifurcation, tau has a saddle of height zero:
-tau = tau_a = tau_p = 0. Both are found by Newton's method in a and p, and
+With one coordinate fixed at a (`held_coordinate.py`), tau(a, p) is the force that fixes it, and
+equilibria are tau = 0. At a limit point tau = tau_a = 0. Where two paths cross, at a bifurcation,
+tau has a saddle of height zero: tau = tau_a = tau_p = 0. Both are found by Newton's method in a and
+p, and
 
     limit point:  p_b = -tau_b/tau_p,      bifurcation:  [a_b, p_b] = -H^-1 [tau_ab, tau_pb]
 
-with the Hessian H of tau in a and p. A variable with tau_b != 0 parts the paths of a bifurcation:
-the load then falls as a root of the change, and has no derivative.
+with the Hessian H of tau in a and p. A variable with tau_b != 0 separates the paths of a
+bifurcation (an imperfection): the load then falls as a root of the change, and has no derivative.
 """
 
 from __future__ import annotations
@@ -36,44 +37,45 @@ from ancfdae.statics.softness import softest
 
 Kind: TypeAlias = Literal["limit point", "bifurcation"]
 
-# The range of p is searched in at least _STEPS steps, and in at most _PLACES attempts. A step is no
-# longer than the part _SAFE of the way to where stiffness, extrapolated by its slope, vanishes.
+# The range of p is searched in at least _STEPS steps, and in at most _PLACES attempts. A step is at
+# most _SAFE times the distance at which the stiffness, extrapolated linearly, vanishes.
 _STEPS, _PLACES, _SAFE = 8, 200, 0.7
-# A step that needs more attempted steps of the load has met a critical point.
+# A step that needs more than _ATTEMPTS load steps has met a critical point. Most iterations.
 _ATTEMPTS, _ITERATIONS = 16, 25
-# Newton's method is tried again at the part _NEARER of the distance, and no more at the part _CLOSE
-# of the way so far. A step below the part _LEAST is not divided to find further critical points.
+# Newton's method is tried again at _NEARER times the last distance to the loss of stiffness, and no
+# more below _CLOSE times the way so far. Steps below _LEAST times the largest one are not divided
+# to find further critical points.
 _NEARER, _CLOSE, _LEAST = 0.4, 1e-7, 1e-3
-# Newton's method goes on, once p changes by less than this part of the distance, while changes
-# halve; farther than _FAR distances it has diverged. What it finds is accepted up to the next
-# number of them, since slopes see a limit point at twice its distance or less. Signs of stiffness
-# are seen to the last part of p; changes by less than the digits of p are round-off.
+# Once p changes by less than _CONVERGED times the distance to the loss of stiffness, Newton's
+# method continues while changes halve; farther than _FAR distances it has diverged. A point is
+# accepted up to _REACH distances, since slopes predict a limit point at twice its distance or less.
+# Signs of stiffness are certain to _SEEN times p; changes below _DIGITS times it are round-off.
 _CONVERGED, _FAR, _REACH, _SEEN, _DIGITS = 1e-6, 64.0, 1.5, 1e-6, 1e-8
-# A step of Newton's method that leads out of the range of p is shortened, and this many at most.
+# Most steps of Newton's method that are shortened because they lead out of the range of p.
 _LEAVES = 3
 _EPS = float(np.finfo(float).eps)
-# Newton's method may miss the extrapolated state by the part _MISS of the step. Two states lie on
-# one smooth path if the mean of their tangents misses their difference by the part _BEND at most.
-# A step of the parameter that failed is tried again from a place nearer than this part of it.
+# An equilibrium belongs to the path if it misses the extrapolated state by at most _MISS times the
+# step. Two states lie on one smooth path if the mean of their tangents misses their difference by
+# at most _BEND times it. A failed step is tried again from a place within _AGAIN times its length.
 _MISS, _BEND, _AGAIN = 0.5, 0.25, 0.25
-# A loss that recedes is not believed to be farther than this many times what slopes say.
+# A receding loss of stiffness is assumed to be at most _RECEDES times as distant as predicted.
 _RECEDES = 20.0
-# A change of p by this part of the way shows how tau_p changes.
+# Change of p, relative to the way, in the difference quotient of tau_p.
 _SLOPE = 3e-3
 _FLUTTER = (
     "Its loads turn with the motion, so that it may flutter, which takes no loss of stiffness: "
     "ask modes(scene, at=equilibrium(scene))"
 )
-# Two losses whose difference is this part of their distance are told apart from a place that is
-# nearer; at the part _NEAR of the way they are one, being closer than 1e-4 of it.
+# Two losses of stiffness that differ by less than _GAP times their distance are to be distinguished
+# from a nearer place; at _NEAR times the way they count as one, being closer than 1e-4 of it.
 _GAP, _NEAR = 0.1, 1e-3
-# Imaginary parts of a real number.
+# Largest imaginary part of a rate, relative to it, that counts as round-off.
 _REAL = 1e-6
 
 
 @final
 class NoCriticalPointError(AncfdaeError):
-    """The equilibrium keeps its stiffness over the whole range, or no point could be found."""
+    """Raised if the equilibrium keeps its stiffness over the range, or no point is found."""
 
 
 @final
@@ -84,18 +86,18 @@ class CriticalLoad(PrintedTable):
     Attributes
     ----------
     name : str
-        The parameter.
+        Name of the parameter.
     value : float
         Critical value of the parameter, in its unit.
     kind : str
-        ``"limit point"``: no equilibrium near beyond it; ``"bifurcation"``: paths cross.
+        ``"limit point"``: beyond it there is no equilibrium nearby; ``"bifurcation"``: paths cross.
     motion : array, shape (n_q,)
-        Motion without stiffness, scaled to the size of the system, its largest entry positive;
-        m, slopes dimensionless.
+        Motion without stiffness, scaled to the size of the system, its largest entry positive; m,
+        slopes dimensionless.
     equilibrium : Equilibrium
-        The state there.
+        The state at the critical point.
     names : tuple of str
-        Design variables.
+        Names of the design variables.
     gradient : array, shape (n_b,)
         Derivatives of `value` with respect to the variables `names`; its unit over theirs.
     """
@@ -127,16 +129,16 @@ class CriticalLoad(PrintedTable):
         return head, rows if self.names else [], ""
 
     def branch(self, size: float) -> tuple[float, Equilibrium]:
-        """Return an equilibrium beside this one, and the value of the parameter there.
+        """Return an equilibrium on a path near the critical point, and the parameter there.
 
-        At a bifurcation it is on the other path; at a limit point it is farther along the path. It
+        At a bifurcation it is on the second path; at a limit point it is farther along the path. It
         is `size` times the `motion` away, in its sense if positive. Where it is stable,
         ``equilibrium(scene.with_values({name: ...}), start=...)`` follows the path from there.
 
         Raises
         ------
         InvalidInputError
-            If the size is zero or no finite number.
+            If the size is zero or not a finite number.
         NoCriticalPointError
             If Newton's method does not converge; a smaller size may.
         """
@@ -166,11 +168,11 @@ class CriticalLoad(PrintedTable):
 def find_critical(
     system: MechanicalSystem, k: int, to: float, progress: bool = False
 ) -> CriticalLoad:
-    """Search from the value of design variable k to another for the first critical point.
+    """Search from the value of design variable k to the value `to` for the first critical point.
 
-    NoCriticalPointError if there is none. InvalidInputError if there is no stable equilibrium at
-    the first value, if two motions lose their stiffness at once, or if a design variable parts the
-    paths of a bifurcation.
+    Raises NoCriticalPointError if there is none; InvalidInputError if there is no stable
+    equilibrium at the first value, if two motions lose their stiffness at once, or if a design
+    variable separates the paths of a bifurcation.
     """
     if to == system.b[k]:
         rule, repair = "must differ from the value in the model", "Search to the other side."
@@ -206,7 +208,7 @@ def _first_critical(
 ) -> tuple[HeldPoint, Kind]:
     """Follow stable equilibria, and start Newton's method nearer and nearer to the first loss.
 
-    The progress bar counts the parameter of the places reached.
+    The progress bar `bar` counts the parameter of the states reached.
     """
     name, begin = system.design_names[k], float(system.b[k])
     place = _Place.of(system, k, np.sign(to - begin), start)
@@ -240,7 +242,7 @@ def _first_critical(
 
 
 def _lost_in_words(place: _Place) -> str:
-    """Describe a loss of stiffness beyond a place at which Newton's method found no point."""
+    """Describe a loss of stiffness beyond a place where Newton's method found no point."""
     if place.follows:
         return f"equilibria are unstable, or not to be followed, beyond {place.p:g}. {_FLUTTER}"
     where = f"stiffness is lost beyond {place.p:g}"
@@ -253,12 +255,12 @@ def _lost_in_words(place: _Place) -> str:
 @final
 @dataclass(frozen=True)
 class _Place:
-    """A stable equilibrium at p, and what its stiffness promises.
+    """A stable equilibrium at parameter p, and where its stiffness is predicted to vanish.
 
-    `ahead` are the distances, in the sense of the search, after which motions lose their stiffness
-    if it goes on changing as it does here, rising; `behind` the least one backward, `blur` what
-    round-off leaves of the first. The `motion` is the first to lose it, `paths` are dq/dp and
-    dlam/dp. It `follows` if K is not symmetric.
+    `ahead` are the distances in p, rising, after which motions lose their stiffness if it continues
+    to change linearly, in the sense of the search; `behind` is the least distance backward, `blur`
+    the round-off of the first. `motion` is the first to lose its stiffness, `paths` are dq/dp and
+    dlam/dp. `follows` is True if K is not symmetric.
     """
 
     system: MechanicalSystem
@@ -273,12 +275,12 @@ class _Place:
 
     @property
     def p(self) -> float:
-        """Value of the parameter at this place of the path."""
+        """Value of the parameter at this equilibrium, in its unit."""
         return float(self.system.b[self.k])
 
     @staticmethod
     def of(system: MechanicalSystem, k: int, sense: float, at: Equilibrium) -> _Place:
-        """Extrapolate the stiffness of the softest motions along the path."""
+        """Return a place of the path; predict the stiffness of its softest motions linearly."""
         balance, state = Balance(system, 0.0, at.q, at.lam), (at.q, at.lam)
         soft = softest(balance, 1.0, *state)
         X, mu = soft.motions, soft.multipliers
@@ -288,7 +290,7 @@ class _Place:
         for j, motion in enumerate(zip(X.T, mu.T, strict=True)):
             force, side = (x[:, k] for x in stiffness_total(system, state, motion, paths))
             slope[:, j] += X.T @ force + mu.T @ side
-        if not len(K):  # Constraints leave no motion.
+        if not len(K):  # Constraints leave no free motion.
             nothing = np.zeros(0), np.inf, 0.0, np.zeros(system.n_q)
             return _Place(system, k, at, along, soft.follows, *nothing)
         if not soft.follows:
@@ -314,20 +316,20 @@ class _Place:
 
     @property
     def digits(self) -> float:
-        """Changes of the coordinates that may be round-off, in the norm of the weights."""
+        """Bound of the round-off of coordinates at an equilibrium, in the norm of the weights."""
         return _DIGITS * Balance(self.system, 0.0, self.at.q, self.at.lam).extent
 
     def leads_to(self, q: Array, p: float) -> bool:
-        """Whether the tangent of the path here leads to a state at p, to first order."""
+        """Return whether the tangent of the path leads to the state q at p, to first order."""
         ahead, way = q - self.at.q, (p - self.p) * self.paths[0]
         weights = self.system.weights
         return norm(ahead - way, weights) <= _MISS * norm(way, weights) + self.digits
 
     def joins(self, after: _Place, small: bool) -> bool:
-        """Whether the path from here leads to another place, by their tangents.
+        """Return whether the path from here leads to the place `after`, by their tangents.
 
         The mean of two tangents is the secant of a smooth path. A `small` step may have any other
-        mean, because the path may have a kink there, as that of a cable that slackens.
+        weighted mean, because the path may have a kink there, as of a cable that slackens.
         """
         step, secant = after.p - self.p, after.at.q - self.at.q
         weights, (first, last) = self.system.weights, (step * x.paths[0] for x in (self, after))
@@ -341,7 +343,7 @@ class _Place:
 
     @property
     def crowded(self) -> bool:
-        """Whether two losses lie so close together that they look like one from here."""
+        """Whether two predicted losses are too close together to be distinguished from here."""
         if len(self.ahead) < 2:
             return False
         one, other = self.ahead[:2]
@@ -350,7 +352,7 @@ class _Place:
 
 @final
 class _Path:
-    """Steps of the parameter: where it goes, where it failed, and how near Newton's method was."""
+    """Chooses steps of the parameter, from failed steps and from failures of Newton's method."""
 
     def __init__(self, begin: float, to: float) -> None:
         self._begin, self._to, self._sense = begin, to, np.sign(to - begin)
@@ -359,11 +361,11 @@ class _Path:
         self._rate = 1.0
 
     def left(self, place: _Place) -> float:
-        """Distance to where stiffness is, or may be, lost; infinite where that is not in sight."""
+        """Return the distance in p to where stiffness is, or may be, lost; infinite if unknown."""
         return float(min([abs(self._lost - place.p), *place.ahead[:1]]))
 
     def next_trial(self, place: _Place) -> float:
-        """Distance from which Newton's method may find the critical point."""
+        """Return the distance in p from which Newton's method may find the critical point."""
         near = max(abs(place.p - self._begin), self._most / _STEPS)
         return min(near, _NEARER * self.tried)
 
@@ -377,14 +379,14 @@ class _Path:
         if ahead is None or not place.joins(ahead, step <= _LEAST * way):
             self._lost, self._failed, self._stride, self._rate = p, step, 0.5 * step, 1.0
             return place
-        # Between two stable places stiffness may vanish. That is not believed where slopes have
-        # promised the same of the path so far.
+        # Between two stable places stiffness may vanish and return. This is not assumed where
+        # slopes have wrongly predicted the same of the path so far.
         if ahead.behind < _SAFE * step and step > _LEAST * self._most and place.behind >= way:
             self._stride = 0.5 * step
             return place
         self._stride = min(2.0 * self._stride, self._most)
         if len(place.ahead) and len(ahead.ahead):
-            # How fast the loss that slopes promise comes nearer.
+            # Rate at which the predicted loss comes nearer.
             rate = (place.ahead[0] - ahead.ahead[0]) / step
             self._rate = float(np.clip(rate, 1.0 / _RECEDES, 1.0))
         if abs(p - self._begin) >= abs(self._lost - self._begin):
@@ -392,7 +394,7 @@ class _Path:
         return ahead
 
     def _next(self, place: _Place) -> float:
-        """Return where the next step leads, or where one failed that is much shorter now."""
+        """Return the next parameter of the path: a step on, or where a step failed if near."""
         lost, room = abs(self._lost - place.p), abs(self._to - place.p)
         nearer = lost < np.inf and lost <= _AGAIN * self._failed
         if nearer and not np.any(_SAFE * place.ahead[:1] <= lost):
@@ -402,10 +404,11 @@ class _Path:
 
 
 def _followed(moved: MechanicalSystem, place: _Place) -> Equilibrium | None:
-    """Return the equilibrium to which a path of stable ones leads from a place; or None.
+    """Return the equilibrium at the parameters of `moved` to which a path of stable ones leads.
 
-    It is sought near the state that the place's tangent extrapolates to: multipliers that belong
-    to other loads would be a stiffness that nothing has. Else from the place itself.
+    Newton's method starts at the state that the tangent of `place` extrapolates to, because
+    multipliers of other loads would act as a stiffness that does not exist; then at the place
+    itself. None without a stable equilibrium.
     """
     at, step = place.at, float(moved.b[place.k]) - place.p
     guess = at.q + step * place.paths[0], at.lam + step * place.paths[1]
@@ -416,12 +419,12 @@ def _followed(moved: MechanicalSystem, place: _Place) -> Equilibrium | None:
 
 
 def _near(system: MechanicalSystem, q: Array, lam: Array) -> Equilibrium | None:
-    """Return a stable equilibrium near a state; or None."""
+    """Return a stable equilibrium near the state q, lam; None without one."""
     try:
         found = uninterrupted(
             find_equilibrium(system, start=(q, lam), near=True, max_steps=_ATTEMPTS)
         )
-    except FreeMotionError:  # A critical point, to the digits that there are.
+    except FreeMotionError:  # A critical point, to round-off.
         return None
     end = found.outcome
     return found if end.success and end.stable_to is None and not end.downhill else None
@@ -429,7 +432,7 @@ def _near(system: MechanicalSystem, q: Array, lam: Array) -> Equilibrium | None:
 
 @final
 class _Search:
-    """Newton's method in a and p from a stable place, for a critical point not far beyond it."""
+    """Newton's method in a and p from a stable place, for a critical point just beyond it."""
 
     def __init__(self, place: _Place, k: int, ends: tuple[float, float], left: float) -> None:
         self._place, self._k, self._left, self._ends = place, k, left, ends
@@ -438,9 +441,9 @@ class _Search:
         self._i = int(np.argmax(np.abs(place.motion) * np.sqrt(weights)))
 
     def bifurcation(self) -> tuple[HeldPoint, Kind] | None:
-        """Solve tau_a = tau_p = 0; None where tau does not vanish there.
+        """Solve tau_a = tau_p = 0; None without convergence, or where tau is not zero there.
 
-        tau_pp is that of a difference at first, then what changes of tau_p show.
+        tau_pp is a difference quotient at first, then follows from the changes of tau_p.
         """
         k, known = self._k, [0.0]
         last: list[HeldPoint] = []
@@ -467,7 +470,7 @@ class _Search:
     def limit_point(self) -> tuple[HeldPoint, Kind] | None:
         """Solve tau = tau_a = 0; None without convergence to a point on this path.
 
-        It is a bifurcation where the parameter does no work on the motion, tau_p = 0.
+        The point is a bifurcation where the parameter does no work on the motion, tau_p = 0.
         """
         first: list[HeldPoint] = []
 
@@ -483,10 +486,10 @@ class _Search:
         return point, "limit point" if point.parted()[self._k] else "bifurcation"
 
     def _ends_in(self, here: HeldPoint, end: HeldPoint) -> bool:
-        """Whether the path of a place ends in a limit point.
+        """Return whether the path through `here` ends in the limit point `end`.
 
         Near it p(a) is a parabola and q(a) has the mean of two tangents as secant. A path beside
-        this one has another slope there: none where the parameter does no work, tau_p = 0.
+        this one has another slope there: zero where the parameter does no work, tau_p = 0.
         """
         k, weights, by_a = self._k, end.system.weights, end.q[end.i] - here.q[end.i]
         if not here.tau_b[k]:
@@ -505,7 +508,7 @@ class _Search:
         return float(np.sign(to - begin) * (step if abs(to - p) > step else -step))
 
     def _newton(self, equations: Callable[[HeldPoint], tuple[Array, Array]]) -> HeldPoint | None:
-        """Return a solution ahead of the place and not far away; None if it finds none."""
+        """Return a solution ahead of the place and not far away; None without one."""
         place, k, last, left = self._place, self._k, np.inf, self._left
         p, a, q, lam = place.p, place.at.q[self._i], place.at.q, place.at.lam
         leaving = 0
@@ -521,7 +524,7 @@ class _Search:
             digits = 4 * _EPS * max(abs(p), self._size)
             if (abs(dp) >= 0.5 * last and last <= small) or abs(dp) <= digits:
                 return point if point.held and self._is_ahead(p) else None
-            # Nothing is known beyond the range: the system may not exist there.
+            # Beyond the range the system may not exist.
             room, last = self._room(p, -dp), abs(dp)
             if not last < room:
                 # A step that is shortened shows no convergence.
@@ -538,12 +541,12 @@ class _Search:
         return None
 
     def _room(self, p: float, sense: float) -> float:
-        """Distance from p to the end of the range in a sense."""
+        """Return the distance from parameter p to the end of its range in the direction `sense`."""
         ends = np.array(self._ends)
         return float(np.max(ends) - p if sense > 0 else p - np.min(ends))
 
     def _is_ahead(self, p: float) -> bool:
-        """Whether p is in the range, and about where stability is lost, to the digits it has."""
+        """Return whether p is in the range, and near where stability is predicted to be lost."""
         begin, to = self._ends
         sense, seen = np.sign(to - begin), _SEEN * abs(p - begin)
         beyond = sense * (p - self._place.p)
@@ -558,7 +561,7 @@ def _held(
 
 
 def _gradient(x: HeldPoint, k: int, kind: Kind, ends: tuple[float, float]) -> Array:
-    """Return the derivatives of p, shape (n_b,), which has come from the first of `ends`."""
+    """Return the derivatives of p, shape (n_b,), at a point reached from the first of `ends`."""
     if kind == "limit point":
         return -x.tau_b / x.tau_b[k]
     parted = x.parted()

@@ -1,13 +1,12 @@
-"""The search for an equilibrium, what it found, and it as the start of a motion.
+"""The search for an equilibrium, its result, and equilibria as the start of a motion.
 
 **Design derivatives**, direct and transposed:
 
-K q_b + Phi_q^T lam_b = Q_b - (Phi_q^T lam)_b,      K = (Phi_q^T lam)_q - Q_q
-Phi_q q_b             = -Phi_b
+K q_b + Phi_q^T lam_b = Q_b - (Phi_q^T lam)_b,      K = (Phi_q^T lam)_q - Q_q Phi_q q_b = -Phi_b
 
-K of a thin beam holds sums of its axial stiffness that leave that of bending, (h/L)^2 of them: a
-solution with its factors is right to (L/h)^2 units of round-off, and Q_b in a length is that of a
-stretch which q_b takes back. Both are corrected by refinement: the residual of a solution is
+In K of a thin beam, sums of axial stiffness leave the bending stiffness, (h/L)^2 times as large. A
+solution with its factors is right to (L/h)^2 units of round-off, and Q_b for a length is the force
+of a stretch that q_b takes back. Both are corrected by refinement: the residual of a solution is
 differentiated as a whole, element by element, before anything is summed
 (docs/theory/11-statics.md).
 """
@@ -46,15 +45,15 @@ from ancfdae.statics.softness import Softness, softest
 # The two parts of a saddle-point system's unknowns or equations.
 Parts: TypeAlias = tuple[Array, Array]
 
-# Refinement gains the digits that the factors have; with none left it gives up.
+# Most steps of refinement; each gains as many digits as the factors have.
 _REFINEMENTS = 20
-# Corrections below the last digit of the coordinates are magnified to eleven digits below them.
+# Factor on corrections below the last digit of the coordinates, so that coordinates can hold them.
 _MAGNIFIED = 2.0**17
 
 
 @final
 class Tangent:
-    """The factorised tangent of an equilibrium; raises SingularMatrix where there is none."""
+    """The factorised tangent matrix of an equilibrium; raises SingularMatrix if it is singular."""
 
     def __init__(self, system: MechanicalSystem, t: float, q: Array, lam: Array) -> None:
         balance = Balance(system, t, q, lam)
@@ -64,7 +63,7 @@ class Tangent:
         self._K, self._Phi_q = balance.tangent(1.0, q, lam), system.constraint_q(t, q)
         self._factors: Factorization = balance.factor(self._K, self._Phi_q)
         R, Phi = balance.unbalanced(q, lam), system.constraint(t, q)
-        # Not where a caller linearises about what is no equilibrium.
+        # The correction is not used if the state is not an equilibrium.
         beyond = solve(self._factors, R, -Phi)[0]
         at_rest = balance.is_round_off(R, self._K, q, lam, beyond)
         self._beyond = beyond if at_rest else zero
@@ -78,9 +77,9 @@ class Tangent:
     def pull_back(self, on_q: Array, on_lam: Array) -> Array:
         """Return q_b^T on_q + lam_b^T on_lam by transposed solves, shape (n_b,).
 
-        With [mu, zeta] the transposed solution, on_q^T s_b - [mu, zeta]^T r_b, where r_b is the
-        total derivative of the equations along any s_b: along the start's, of which little is
-        left in q_b, round-off of mu does not meet the stretch.
+        With [mu, zeta] the transposed solution it is on_q^T s_b - [mu, zeta]^T r_b, where r_b is
+        the total derivative of the equations along any s_b. With s_b of the start, which contains
+        most of the stretch, round-off of mu is not multiplied by the force of that stretch.
         """
         system = self._system
 
@@ -99,7 +98,7 @@ class Tangent:
         return np.asarray(on_q @ s_b + mu @ force + zeta @ side)
 
     def _left(self, q_b: Array, lam_b: Array) -> Parts:
-        """Return minus the total derivatives of Phi_q^T lam - Q and of Phi."""
+        """Return minus the total derivatives of Phi_q^T lam - Q and of Phi along q_b, lam_b."""
         system, q, lam, t = self._system, self._q, self._lam, self._t
         still = np.zeros_like(q_b)
         force = self._exactly(lambda q: force_total(system, t, q, self._rest, q_b, still))
@@ -109,7 +108,7 @@ class Tangent:
         return force, -side
 
     def _transposed_times(self, mu: Array) -> Array:
-        """Return K^T mu; the elements' part, which is symmetric, element by element."""
+        """Return K^T mu, (n_q,): K mu by complex steps of the forces, plus (K^T - K) mu."""
         system, pattern = self._system, self._system.pattern
         moving = 1j * STEP * mu
         rate = self._exactly(lambda q: system.force(self._t, q + moving, self._rest).imag)
@@ -121,7 +120,7 @@ class Tangent:
         return product
 
     def _exactly(self, value: Callable[[Array], Array]) -> Array:
-        """Return a function of q at the equilibrium corrected for the round-off of q.
+        """Return a function of q at the equilibrium, corrected for the round-off of q.
 
         Coordinates round to eps |q|, which leaves an axial force eps EA: (L/h)^2 times the forces
         that bend a beam. The last correction of Newton's method is smaller than q can hold: it is
@@ -137,7 +136,7 @@ class Tangent:
         left: Callable[[Array, Array], Parts],
         solver: Callable[[Factorization, Array, Array], Parts],
     ) -> Parts:
-        """Add corrections as long as each column's are less than half of the last ones."""
+        """Return the solution x refined by corrections, as long as those of a column halve."""
         last = np.array(np.inf)
         for _ in range(_REFINEMENTS):
             change = solver(self._factors, *left(*x))
@@ -154,14 +153,14 @@ class Tangent:
 # -- equilibria --------------------------------------------------------------------------------
 
 
-# Attempted steps of the load.
+# Default limit of attempted load steps.
 MAX_STEPS = 1000
 
 
 @final
 @dataclass(frozen=True, repr=False)
 class Equilibrium(PrintedTable):
-    """A state of rest under load, or the state at which the search for one ended.
+    """A state of static equilibrium under load, or the state at which the search for it ended.
 
     Attributes
     ----------
@@ -172,8 +171,8 @@ class Equilibrium(PrintedTable):
     outcome : EquilibriumOutcome
         How the search ended; `success` only if this is an equilibrium under the full load.
     solution : Solution
-        The same as a solution of one instant at rest, with which everything that takes a
-        solution works: `position`, `reaction`, `observe`, plots.
+        The state as a solution with one time point and zero velocity, for all calls that take a
+        solution: `position`, `reaction`, `observe`, plots.
     q_b, lam_b : array, shape (n_q, n_b) and (n_lam, n_b), or None
         Design derivatives; None without design variables or without success.
     """
@@ -187,19 +186,19 @@ class Equilibrium(PrintedTable):
 
     @property
     def fraction(self) -> float:
-        """Part of the load that it is in balance with; one if the search succeeded."""
+        """Load factor of the state, dimensionless; one if the search succeeded."""
         return self.outcome.fraction
 
     @property
     def statistics(self) -> Statistics:
-        """Counters of the search; `steps` are steps of the load."""
+        """Counters of the search; `steps` counts load steps."""
         return self.solution.statistics
 
     def to_dataframe(self) -> Any:
-        """Return the coordinates as a table of pandas, a row for each, by name.
+        """Return the coordinates as a pandas table, a row for each, by name.
 
-        The column ``value`` is in m, for slopes dimensionless. With design variables each has a
-        column of derivatives, ``d/d rod.height``.
+        The column ``value`` is in m, for slopes dimensionless. Each design variable has a column of
+        derivatives, such as ``d/d rod.height``.
         """
         table, sensitivities = {"value": self.q}, self.solution.sensitivities
         if sensitivities is not None:
@@ -217,12 +216,12 @@ class Equilibrium(PrintedTable):
 
 @final
 class NoEquilibriumError(AncfdaeError):
-    """No equilibrium was found from which a motion was to start.
+    """Raised if no equilibrium was found from which a motion was to start.
 
     Attributes
     ----------
     equilibrium : Equilibrium
-        What was found.
+        The state at which the search ended.
     """
 
     def __init__(self, equilibrium: Equilibrium) -> None:
@@ -241,12 +240,12 @@ def find_equilibrium(
 ) -> Equilibrium:
     """Search for q and lam with Q(q) = Phi_q^T lam and Phi(q) = 0 at t = 0.
 
-    From a `start` (q, lam), or that of the system, in at most `max_steps` attempted steps of the
-    load; what was found is differentiated if asked for. If the start is `near` the equilibrium,
-    loads that turn with the motion act in full all along.
+    The search begins at `start` (q, lam), or at the start of the system, and takes at most
+    `max_steps` attempted load steps; with `sensitivities` the result has design derivatives. If the
+    start is `near` the equilibrium, follower loads act in full from the beginning.
 
-    FreeMotionError if a motion is held by nothing. InvalidInputError if the start is not finite,
-    constraints depend on each other, or a joint drives a motion.
+    Raises FreeMotionError if nothing restrains a motion; InvalidInputError if the start is not
+    finite, constraints are linearly dependent, or a driver moves.
     """
     began = time.perf_counter()
     q, lam = (system.start()[0], np.zeros(system.n_lam)) if start is None else start
@@ -270,7 +269,7 @@ def find_equilibrium(
 
 
 def _warn_of_mesh(system: MechanicalSystem, q: Array) -> None:
-    """Warn of beams with too few elements for their bends."""
+    """Warn of beams that have too few elements for their curvature at q."""
     coarse = system.coarse(q)
     if not coarse:
         return
@@ -286,7 +285,7 @@ def _warn_of_mesh(system: MechanicalSystem, q: Array) -> None:
 
 
 def _judged(balance: Balance, end: SearchEnd) -> SearchEnd:
-    """Return the end with the vibration that grows; warn where round-off hides the stability."""
+    """Return the end with its flutter; warn if round-off hides whether it is stable."""
     soft = softest(balance, 1.0, end.q, end.lam)
     if end.outcome.stable_to is None and not end.definite:
         _warn_of_neutral(soft)
@@ -295,7 +294,7 @@ def _judged(balance: Balance, end: SearchEnd) -> SearchEnd:
 
 
 def _warn_of_neutral(soft: Softness) -> None:
-    """Warn of an equilibrium whose stability round-off hides."""
+    """Warn of an equilibrium if round-off hides whether it is stable."""
     if soft.judged:
         return
     warnings.warn(
@@ -308,7 +307,7 @@ def _warn_of_neutral(soft: Softness) -> None:
 
 
 def resting(system: MechanicalSystem, q: Array, lam: Array, stable: bool) -> Equilibrium:
-    """Return a state that was found to be in balance by other means than a search."""
+    """Return the state q, lam, known to be in balance, as an `Equilibrium` without a search."""
     folded = system.folded(q)
     verdict = Verdict.FOLDED if folded else Verdict.EQUILIBRIUM
     outcome = EquilibriumOutcome(verdict, 1.0, 0, 0.0, None if stable else 0.0, folded=folded)
@@ -336,10 +335,10 @@ def _solution(
 
 @final
 class RestingStart:
-    """The equilibrium of a system at t = 0; found, and factorised, when first asked for.
+    """The equilibrium of a system at t = 0 as a start, computed when it is first needed.
 
-    The system has the coordinates and design variables of the one that moves; the search starts
-    at its own start.
+    The system has the coordinates and design variables of the one that moves; the search starts at
+    its own start.
     """
 
     def __init__(self, system: MechanicalSystem) -> None:
@@ -347,10 +346,10 @@ class RestingStart:
 
     @cached_property
     def equilibrium(self) -> Equilibrium:
-        """The equilibrium.
+        """The equilibrium under the full load.
 
-        NoEquilibriumError if there is none under the full load; `FreeMotionError` if nothing holds
-        a motion. Warns of one that is unstable (`StabilityWarning`).
+        Raises NoEquilibriumError if there is none, FreeMotionError if nothing restrains a motion.
+        Warns if it is unstable (StabilityWarning).
         """
         at_rest = uninterrupted(find_equilibrium(self._system))
         if not at_rest.outcome.success:
@@ -371,7 +370,7 @@ class RestingStart:
 
     @property
     def q(self) -> Array:
-        """Coordinates at the equilibrium, shape (n_q,)."""
+        """Coordinates at the equilibrium from which the motion starts, shape (n_q,)."""
         return self.equilibrium.q
 
     @cached_property
@@ -380,5 +379,5 @@ class RestingStart:
         return self._tangent.sensitivities()[0]
 
     def pull_back(self, on_q: Array) -> Array:
-        """Return q_b^T on_q by one transposed solve, shape (n_b,)."""
+        """Return q_b^T on_q for an adjoint vector of the start, (n_b,), by a transposed solve."""
         return self._tangent.pull_back(on_q, 0 * self.equilibrium.lam)

@@ -1,18 +1,19 @@
-"""Equilibria with one coordinate held: tau(a, p), the force that holds coordinate q_i at a.
+"""Equilibria with one coordinate fixed: tau(a, p), the force that fixes coordinate q_i at a.
 
-A coordinate q_i that moves where stiffness is lost is held at a by one constraint more. With it
-the matrix is regular at a critical point of the parameter p, and tau = 0 are the equilibria of the
-system itself:
+A coordinate q_i that moves where stiffness is lost is fixed at a by one more constraint. With it
+the matrix is regular at a critical point of the parameter p, and equilibria of the system itself
+are tau = 0:
 
     Q - Phi_q^T lam + tau e_i = 0,     Phi = 0,     q_i = a
 
-With z = (q, lam, -tau), A z_c = F_c for a change of c = a or a parameter, A the matrix of the held
-system and F_c the partial derivative of the equations, and y = A^-T e, e the row of tau:
+With z = (q, lam, -tau), A z_c = F_c for a change of c = a or a parameter, A the matrix of the
+constrained system and F_c the partial derivative of the equations, and y = A^-T e, e the row of
+tau:
 
     tau_c = -y^T F_c,    tau_cd = -y^T F_cd,
 
-where F_cd is the derivative along z_d, and in d, of what F changes along z_c, and in c: exact for
-c = a by the second derivatives of the system, by differences of five points for two parameters
+where F_cd is the second derivative of F along z_c and in c, and along z_d and in d: exact for c = a
+by the second derivatives of the system, by differences of five points for two parameters
 (docs/theory/11-statics.md).
 """
 
@@ -39,15 +40,16 @@ from ancfdae.statics.softness import negative_directions, stiffness_of_coordinat
 Parts: TypeAlias = tuple[Array, Array]
 
 _ITERATIONS = 25
-# Part of the largest correction.
+# Newton's method has converged at corrections below this fraction of the largest one.
 _CONVERGED = 1e-7
-# Part of the range of a parameter by which its second derivatives move it.
+# Step of a parameter in its second derivatives, relative to its change so far.
 _STEP = 3e-3
-# Weights of the derivative from values at these steps, exact for polynomials of degree four.
+# Weights, by step, of a derivative from five values, exact for polynomials of degree four.
 _CENTRAL = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
 _BACKWARD = {-4: 1 / 4, -3: -4 / 3, -2: 3.0, -1: -4.0, 0: 25 / 12}
-# Cosine between what a variable changes and the motion below which it does no work. Samples of
-# random changes of the coordinates by digits that count, relative to the size of the system.
+# A variable does no work on the motion if the cosine between its forces and the motion is below
+# _NONE. Number and size, relative to the system, of random changes of the coordinates that estimate
+# round-off.
 _NONE, _SAMPLES, _SEEN = 1e-7, 4, 1e-8
 _EPS, _ROUNDINGS = float(np.finfo(float).eps), 64
 
@@ -55,10 +57,11 @@ _EPS, _ROUNDINGS = float(np.finfo(float).eps), 64
 @final
 @dataclass(frozen=True)
 class HeldPoint:
-    """A solution with q_i held, and tau with its derivatives in a and in the design variables b.
+    """A solution with q_i fixed at a, and tau with its derivatives in a and the design variables.
 
-    `motion` and `paths` are z_a and z_b, as (q, lam); `left` is (y_q, y_lam). tau_b is that part of
-    `reach` that does work on y. It is `held` if no motion that keeps q_i has a negative stiffness.
+    `motion` and `paths` are z_a and z_b, as (q, lam); `left` is (y_q, y_lam). `reach`, (n_b,), is
+    the product of the norms of y_q and of the forces of a variable, with which tau_b is compared.
+    `held` is True if no motion that keeps q_i has a negative stiffness.
     """
 
     system: MechanicalSystem
@@ -76,7 +79,7 @@ class HeldPoint:
 
     @cached_property
     def in_a(self) -> tuple[float, Array]:
-        """tau_aa, and tau_ab, shape (n_b,)."""
+        """Second derivatives tau_aa, and tau_ab, (n_b,), of the fixing force tau."""
         q_b, lam_b = self.paths
         return self._along_motion(), self._along_paths(q_b, lam_b)
 
@@ -95,10 +98,10 @@ class HeldPoint:
         return np.asarray(self.left[0] @ force + self.left[1] @ side)
 
     def in_p(self, k: int, begin: float, to: float) -> Array:
-        """Return tau_pb, shape (n_b,), p the design variable k, by differences of five points.
+        """Return tau_pb, (n_b,), p the design variable k, by differences of five points.
 
-        They lie on both sides of p, or toward `begin` where there is no room up to `to`; what is
-        beyond these two may be no system at all.
+        The points lie on both sides of p, or toward `begin` if there is no room up to `to`, because
+        beyond these two values there may be no system.
         """
         p = float(self.system.b[k])
         step = _STEP * (p - begin)
@@ -107,20 +110,21 @@ class HeldPoint:
         return np.asarray(np.sum(values, axis=0) / step)
 
     def bend(self, k: int, step: float) -> float:
-        """Return tau_pp, p the design variable k, by a difference over one step."""
+        """Return tau_pp, p the design variable k, by a one-sided difference over `step`."""
         return float((self._tau_b(k, step)[k] - self.tau_b[k]) / step)
 
     def _tau_b(self, k: int, step: float) -> Array:
-        """Return -y^T F_b, y as here, of a variable k that is a step away, along its path."""
+        """Return tau_b, with y of this point, where variable k has changed by `step`."""
         b, (q_p, lam_p) = np.asarray(self.system.b), (x[:, k] for x in self.paths)
         moved = self.system.with_values(b + step * np.eye(len(b))[k])
         return self._forces(moved, step * q_p, step * lam_p)
 
     def parted(self) -> Array:
-        """Return which design variables change tau, and so part paths that cross, shape (n_b,).
+        """Return which design variables change tau, and so separate crossing paths, (n_b,).
 
-        One does not whose forces do no work on y. Nor does one whose whole part of tau is round-off
-        and vanishes within the digits of q, as of the stiffness of a spring that nothing stretches.
+        A variable whose forces do no work on y does not. Nor does one whose part of tau is
+        round-off and vanishes within the digits of q, such as the stiffness of an unstretched
+        spring.
         """
         system, y_q = self.system, self.left[0]
         parts = np.abs(self.tau_b) > _NONE * self.reach
@@ -139,7 +143,7 @@ class HeldPoint:
 
     @cached_property
     def round_off(self) -> float:
-        """Return the round-off of tau from rounding of coordinates and sums of forces."""
+        """Round-off of tau from rounding of coordinates and sums of forces."""
         system, y, q = self.system, np.abs(self.left[0]), self.q
         balance = Balance(system, 0.0, q, self.lam)
         blur = system.pattern.dot(np.abs(balance.tangent(1.0, q, self.lam)), np.abs(q))
@@ -151,7 +155,7 @@ class HeldPoint:
         )
 
     def _forces(self, system: MechanicalSystem, dq: Array, dlam: Array) -> Array:
-        """Return -y^T F_b along z_b in a changed state and system."""
+        """Return -y^T F_b along z_b in a changed state and system, shape (n_b,)."""
         q, lam, (q_b, lam_b) = self.q + dq, self.lam + dlam, self.paths
         force, side = _totals(system, q, lam, q_b)
         Phi_q = system.constraint_q(0.0, q)
@@ -162,7 +166,7 @@ class HeldPoint:
 def stiffness_total(
     system: MechanicalSystem, state: Parts, motion: Parts, state_b: Parts
 ) -> tuple[Array, Array]:
-    """Return total design derivatives of K x + Phi_q^T mu and of Phi_q x, a motion (x, mu) held.
+    """Return total design derivatives of K x + Phi_q^T mu and Phi_q x for a fixed motion (x, mu).
 
     The state is (q, lam), with derivatives (n_q, n_b) and (n_lam, n_b).
     """
@@ -177,7 +181,7 @@ def stiffness_total(
 
 
 def _totals(system: MechanicalSystem, q: Array, lam: Array, q_b: Array) -> tuple[Array, Array]:
-    """Return the total derivatives of Q - Phi_q^T lam and of -Phi in the design, lam held."""
+    """Return total design derivatives of Q - Phi_q^T lam at fixed lam, (n_q, n_b), and of -Phi."""
     rest, still = np.zeros_like(q), np.zeros_like(q_b)
     force = force_total(system, 0.0, q, rest, q_b, still)
     force = force - held_total(system, 0.0, q, rest, lam, q_b)
@@ -186,7 +190,7 @@ def _totals(system: MechanicalSystem, q: Array, lam: Array, q_b: Array) -> tuple
 
 @final
 class HeldSystem:
-    """A system with coordinate i held."""
+    """A system with coordinate i fixed by an additional constraint."""
 
     def __init__(self, system: MechanicalSystem, i: int, q: Array) -> None:
         self._system, self._i, B = system, i, system.constraint_pattern
@@ -196,7 +200,7 @@ class HeldSystem:
         self._matrices = SaddlePoint(system.pattern, pattern, system.weights, values)
 
     def solve(self, a: float, q: Array, lam: Array, tau: float = 0.0) -> HeldPoint | None:
-        """Solve by Newton's method from a guess; None where it does not converge."""
+        """Return the equilibrium with q_i = a by Newton's method; None without convergence."""
         system, i, last, most = self._system, self._i, np.inf, 0.0
         balance = Balance(system, 0.0, q, lam)
         try:
@@ -209,7 +213,7 @@ class HeldSystem:
                 size = balance.length(dq)
                 if not np.isfinite(size):
                     return None
-                # Corrections that stop to halve are round-off if they, or forces left, are small.
+                # Corrections that stop halving are round-off if they, or the forces, are small.
                 K, most = balance.tangent(1.0, q, lam), max(most, size)
                 small = size <= _CONVERGED * most or balance.is_round_off(R, K, q, lam)
                 if size >= 0.5 * last and small:
@@ -228,7 +232,8 @@ class HeldSystem:
         last = np.append(np.zeros_like(lam), 1.0)
         q_a, lam_a = solve(factors, 0 * q, last)
         y_q, y_lam = solve_transposed(factors, 0 * q, last)
-        # Along the change of the start: of a stretch little is left that round-off could meet.
+        # Along the change of the start, which contains most of a stretch, so that round-off of y is
+        # not multiplied by the force of that stretch.
         s_b = system.start_b()[0]
         force, side = _totals(system, q, lam, s_b)
         side = np.vstack([side, -s_b[i]])

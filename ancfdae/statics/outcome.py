@@ -1,4 +1,4 @@
-"""How a search for an equilibrium ended, and motions that nothing holds, as text."""
+"""Outcomes of a search for an equilibrium, and unrestrained motions, as text."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _GYROSCOPIC = "it is unstable unless gyroscopic forces hold it, which modes(scen
 
 @final
 class FreeMotionError(InvalidInputError):
-    """A system without an equilibrium because nothing holds a motion, which the message names."""
+    """Raised if a system has no equilibrium because nothing restrains a motion, which is named."""
 
 
 def free_mechanism(naming: Naming | None, q: Array, motions: Array) -> FreeMotionError:
-    """Return the error for motions, shape (n_q, k), that nothing holds at q."""
+    """Return the error for motions, shape (n_q, k), that nothing restrains at q."""
     return FreeMotionError(
         "equilibrium",
         "every motion must be held by a joint, a stiffness or the weight",
@@ -32,7 +32,7 @@ def free_mechanism(naming: Naming | None, q: Array, motions: Array) -> FreeMotio
 
 
 def motions_in_words(naming: Naming | None, q: Array, motions: Array) -> str:
-    """Say what moves, and how, in motions without stiffness, shape (n_q, k)."""
+    """Describe which parts move, and how, in motions without stiffness, shape (n_q, k)."""
     if naming is not None:
         return naming.motions_in_words(q, motions)
     share = np.sqrt(np.sum(motions**2, axis=1))
@@ -43,37 +43,37 @@ def motions_in_words(naming: Naming | None, q: Array, motions: Array) -> str:
 @final
 @dataclass(frozen=True)
 class EquilibriumOutcome:
-    """How a search ended and how much of the load it carries.
+    """How a search for an equilibrium ended, and which fraction of the load is balanced.
 
     Attributes
     ----------
     verdict : Verdict
-        The kind of ending.
+        The reason for which the search ended.
     fraction : float
         Load factor of the state found, dimensionless: one for an equilibrium. The load is the
         unbalanced force at the start (docs/theory/11-statics.md).
     step : int
-        Steps that converged, of the load or downhill.
+        Number of converged steps, of the load or of pseudo-transient continuation.
     residual : float
-        Size of the last correction of Newton's method, relative to positions (where it failed, to
+        Norm of the last correction of Newton's method, relative to positions (where it failed, to
         forces too). At an equilibrium it is round-off: corrections have stopped shrinking, and the
-        unbalanced forces are no more than what rounding the coordinates changes in them.
+        unbalanced forces are no more than the effect of rounding the coordinates.
     stable_to : float or None
-        None if it is stable; else the part of the load above which a motion meets a negative
-        stiffness, as above a buckling load, to one per cent.
+        None if the state is stable; else the load factor, to one per cent, above which a motion has
+        negative stiffness, as above a buckling load.
     downhill : bool
-        Whether the system settled under the full load, since no path of loads begins where it
-        starts (a mechanism, a slack cable) or it could not be followed.
+        Whether the system settled under the full load by pseudo-transient continuation, because no
+        path of loads starts where it does (a mechanism, a slack cable) or it could not be followed.
     gyroscopic : bool
-        Whether gyroscopic forces, as in a turning frame, may hold it against a negative stiffness.
+        Whether gyroscopic forces, as in a rotating frame, may stabilise a negative stiffness.
     folded : str
-        Elements that are folded, of a state in balance that no body can have; else empty.
+        Names of folded elements, of a balanced state that no body can have; else empty.
     flutter : complex or None
-        Exponent s of the vibration that grows fastest without damping, where loads turn with the
-        motion and feed it; 1/s. None where there is none.
+        Exponent s of the vibration that grows fastest without damping because follower loads feed
+        it; 1/s. None without such a vibration.
     flutter_searched : bool
-        Whether all motions were searched for flutter: False where loads turn with more than 1,500
-        independent motions, of which the twenty next to zero were.
+        Whether all motions were searched for flutter: False with follower loads on more than 1,500
+        independent motions, of which only the twenty nearest to zero were searched.
     """
 
     verdict: Verdict
@@ -89,15 +89,15 @@ class EquilibriumOutcome:
 
     @property
     def success(self) -> bool:
-        """Whether the full load is carried."""
+        """Whether the search found an equilibrium under the full load."""
         return self.verdict is Verdict.EQUILIBRIUM
 
     def of_run(self) -> RunOutcome:
-        """Return this outcome as that of a solution of one state."""
+        """Return this outcome as the outcome of a solution with one time point."""
         return RunOutcome(self.verdict, 0.0, self.step, self.residual, self.fraction)
 
     def __str__(self) -> str:
-        """Return the outcome as a sentence."""
+        """Return the outcome of the search as a sentence."""
         steps = f"{self.step} step{'s' if self.step != 1 else ''}"
         steps += " downhill" if self.downhill else ""
         text = f"{self.verdict.value} in {steps}"

@@ -1,8 +1,9 @@
-"""The search for an equilibrium: along the path of loads, in steps that adapt, or downhill.
+"""The search for an equilibrium: along a path of loads, or by pseudo-transient continuation.
 
-A mechanism that its weight holds, such as a pendulum that starts level, has no stiffness at
-s = 0 and no path that begins there. Under the full load M_0 q' = Q - Phi_q^T lam goes downhill, in
-steps 1/mu that grow until mu vanishes; what is left is Newton's method at mu = 0.
+A mechanism restrained by its weight alone, such as a pendulum that starts level, has no stiffness
+at s = 0 and no path that begins there. Under the full load, pseudo-transient continuation
+integrates M_0 q' = Q - Phi_q^T lam in implicit steps 1/mu, which grow until mu vanishes and
+Newton's method at mu = 0 remains.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from ancfdae.statics.balance import Balance, Balanced, Unsolved
 from ancfdae.statics.outcome import EquilibriumOutcome, free_mechanism
 from ancfdae.statics.softness import Softness, softest
 
-# Steps of the load fraction below this one are given up; on a path that closes gaps of joints those
-# below this part of the fraction, or below its square: a thin wire slackens in so small a part.
+# Least step of the load factor s; on a path that closes gaps of joints relative to s, and at least
+# its square: a thin wire slackens within such a small part of the path.
 _LEAST = 1e-6
-# A step is followed by a larger one if Newton's method took no more iterations.
+# A step is followed by a larger one if Newton's method took at most this many iterations.
 _EASY = 6
-# On one smooth path the secant of a step is the mean of its tangents up to this part, and the
-# tangents differ by no more than the smaller one. Else it may have jumped to another path.
+# On one smooth path the secant of a step is the mean of its tangents up to _BEND times the secant,
+# and the tangents differ by at most the smaller one. Else it may have jumped to another path.
 _BEND = 0.25
 # The load has a limit point if |dq/ds| exceeds _FASTER times its smallest value: q moves with the
 # root of the remaining load.
@@ -39,9 +40,9 @@ _SMALL = 1.0 / 128.0
 @final
 @dataclass(frozen=True)
 class PathPoint:
-    """A point of the path with its derivatives in the load fraction s.
+    """A point of the load path with its derivatives in the load factor s.
 
-    It is stable if no motion meets a negative stiffness, as where K is known to be definite.
+    It is `stable` if no motion has a negative stiffness, as where K is known to be `definite`.
     """
 
     s: float
@@ -55,10 +56,10 @@ class PathPoint:
 
 @final
 class LoadPath:
-    """Follows the path from s = 0 to s = 1 in at most `max_steps` attempted steps.
+    """Follows the path of equilibria from s = 0 to s = 1 in at most `max_steps` attempted steps.
 
-    `places` are what converged, the start first, `residual` is the size of the last correction of
-    the last failure. A `fine` path takes smaller steps near s = 0.
+    `places` are the converged points, the start first; `residual` is the norm of the last
+    correction of the last failure. A `fine` path takes smaller steps near s = 0.
     """
 
     def __init__(
@@ -66,11 +67,11 @@ class LoadPath:
     ) -> None:
         self._balance, self._max_steps, self._fine = balance, max_steps, fine
         self.places, self.residual = [first], 0.0
-        # A solution that was refused because it was too far from the place before.
+        # A solution that was rejected because it may lie on another path.
         self._beyond: tuple[PathPoint, Balanced] | None = None
 
     def follow(self) -> Verdict:
-        """Follow the path to its end; return why it ends."""
+        """Follow the path to its end; return the reason for which it ends."""
         size, verdict = 1.0, Verdict.EQUILIBRIUM
         try:
             for _ in range(self._max_steps):
@@ -95,14 +96,14 @@ class LoadPath:
         return Verdict.STEP_LIMIT
 
     def stable_to(self) -> float | None:
-        """Return the load fraction of the last stable place, None if that is the last one."""
+        """Return the load factor of the last stable point, None if that is the last point."""
         stable = [place.s for place in self.places if place.stable]
         if stable and stable[-1] == self.places[-1].s:
             return None
         return stable[-1] if stable else 0.0
 
     def _attempt(self, s: float) -> tuple[PathPoint, int] | Unsolved:
-        """Solve at s from the extrapolated path, and see whether it is the same path."""
+        """Solve at s from the extrapolated path; return the point if it lies on the same path."""
         before, balance, known = self.places[-1], self._balance, self._beyond
         if known is not None and known[0].s == s and not self._jumped(before, known[0]):
             place, point = known
@@ -110,7 +111,7 @@ class LoadPath:
             found = balance.solve(s, *self._extrapolated(s))
             if isinstance(found, Unsolved):
                 return found
-            # Whether it is stable is asked of a place on the path only.
+            # Stability is computed later, for points on the path only.
             point, place = found, PathPoint(s, found.q, found.lam, *found.path, stable=False)
             if self._jumped(before, place):
                 self._beyond = place, point
@@ -125,10 +126,10 @@ class LoadPath:
         return replace(place, stable=stable, definite=definite), point.iterations
 
     def _jumped(self, a: PathPoint, b: PathPoint) -> bool:
-        """Whether two places do not lie on one smooth path."""
+        """Return whether two points do not lie on one smooth path."""
         length, secant, ds = self._balance.length, b.q - a.q, b.s - a.s
         bend = length(secant - (0.5 * ds) * (a.q_s + b.q_s))
-        # Round-off of a motion too small to see is no bend.
+        # A bend that is round-off of the coordinates does not count.
         if bend <= 1e-9 * self._balance.position:
             return False
         slower = min(length(a.q_s), length(b.q_s))
@@ -139,7 +140,10 @@ class LoadPath:
         return speeds[-1] > _FASTER * min(speeds)
 
     def _extrapolated(self, s: float) -> tuple[Array, Array]:
-        """Cubic through the last two places and their tangents, or the tangent of the start."""
+        """Return q and lam at s by a cubic through the last two points and their tangents.
+
+        From the start alone the tangent is used.
+        """
         b = self.places[-1]
         if len(self.places) == 1:
             return b.q + (s - b.s) * b.q_s, b.lam + (s - b.s) * b.lam_s
@@ -151,12 +155,12 @@ class LoadPath:
         return q, w_a * a.lam + w_b * b.lam + d_a * a.lam_s + d_b * b.lam_s
 
 
-# The first step moves by about this part of the size of the system.
+# The first step of pseudo-transient continuation moves by about _FIRST times the system's size.
 _FIRST = 0.1
-# A step has settled that moves no more than this part, and holds no more of the load by its mu;
-# one that ends farther away has left.
+# The search has settled if a step moves by at most _SETTLED times the system's size and its term in
+# mu balances at most _HELD times the load; it has diverged if it is _GONE times the size away.
 _SETTLED, _HELD, _GONE = 1e-10, 1e-6, 100.0
-# 4^30 is no reason to try once more.
+# Most failures in a row; mu has grown by 4^30 then.
 _FAILURES = 30
 
 
@@ -166,7 +170,7 @@ class Settling:
 
     Constraints that are violated at the start close in one step, or in several smaller parts if
     that step fails or folds an element; the balance may leave them open. `steps` steps have
-    converged, the last one of the size `residual`; `gone` is whether it grew without bound.
+    converged, the last one of the norm `residual`; `gone` is whether the motion grew without bound.
     """
 
     def __init__(self, balance: Balance, max_steps: int) -> None:
@@ -201,7 +205,7 @@ class Settling:
             if moved > _SETTLED and not (
                 solved.definite or softest(balance, 1.0, solved.q, solved.lam, mu).stable
             ):
-                # A step this long goes uphill.
+                # K + mu M_0 is not positive definite: so long a step may increase the energy.
                 balance.work.rejected += 1
                 mu *= 4.0
                 continue
@@ -218,7 +222,7 @@ class Settling:
         return Verdict.STEP_LIMIT
 
     def _held(self, mu: float, dq: Array) -> float:
-        """Return |mu M_0 dq| over the load: the part that the step leaves unbalanced."""
+        """Return |mu M_0 dq| over the load: the fraction that the step leaves unbalanced."""
         b = self._balance
         return b.strength(mu * b.system.pattern.dot(b.M_0, dq)) / b.load
 
@@ -226,33 +230,34 @@ class Settling:
         return self._balance.length(dq) / self._balance.extent
 
     def _first_mu(self) -> float:
-        """Mu with which the accelerations at the start move it by a tenth of its size."""
+        """Return mu with which the first step moves the system by a tenth of its size."""
         b = self._balance
         force = b.held_back(b.q_0)
         try:
             a = solve(b.factor(b.M_0, b.Phi_q(b.q_0)), force, 0 * b.Phi_0)[0]
         except SingularMatrix:
             a = force / b.system.weights
-        # Where nothing is to move any mu does.
+        # Without acceleration any positive mu will do.
         return b.length(a) / (_FIRST * b.extent) or 1.0
 
 
 # -- the search --------------------------------------------------------------------------------
 
 
-# Endings of a path that say nothing about the load.
+# Reasons for which a path ends that do not show that the load is too large.
 _FAILED = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.SINGULAR, Verdict.FOLDED)
 
-# Motions softer than this part of their diagonal may be neutral. A step of this part of the size of
-# the system, held by this part of the load, gets so far and then stays to this part, if what drives
-# it back is less than 1e-8 of the load; others come back by a tenth and more.
+# Motions with a stiffness kappa below _SOFT may be neutral. A step along one, of _STEP times the
+# size of the system and with a term in mu of _PUSH times the load, moves by at least _MOVED times
+# itself, and a second one by at most _STAYS times the first if restoring forces are below 1e-8 of
+# the load; otherwise the system moves back by a tenth and more.
 _SOFT, _STEP, _PUSH, _MOVED, _STAYS = 1e-5, 0.05, 1e-3, 0.01, 1e-5
 
 
 @final
 @dataclass(frozen=True)
 class SearchEnd:
-    """The state at which a search ends; whether K is known to be positive definite there."""
+    """The state at which a search ends, and whether K is known to be positive definite there."""
 
     q: Array
     lam: Array
@@ -261,10 +266,10 @@ class SearchEnd:
 
 
 def search(balance: Balance, max_steps: int) -> SearchEnd:
-    """Follow the path of loads; where none begins or it cannot be followed, settle.
+    """Follow the path of loads; if none begins or it fails, use pseudo-transient continuation.
 
     Where constraints are violated at the start, a path on which they close under the full load is
-    tried in between. FreeMotionError if a motion is held by nothing.
+    tried in between. Raises FreeMotionError if nothing restrains a motion.
     """
     first, start = balance.begun(), None
     if isinstance(first, Unsolved) or not first.definite:
@@ -292,12 +297,12 @@ def search(balance: Balance, max_steps: int) -> SearchEnd:
 def _closed(
     balance: Balance, start: Balanced | Unsolved | None, max_steps: int
 ) -> SearchEnd | None:
-    """Return where two paths lead: the loads grow, then constraints that are violated close.
+    """Return the end of two paths: the loads grow, then the violated constraints close.
 
     A wire whose supports are too near to each other is taut under its weight at first and slackens
     as they approach; at s = 0 of one path for both it would buckle. Without a start that has
-    stiffness, as of two wires in line, it settles under the loads instead. None where no
-    constraint is violated, or the paths lead to no stable equilibrium.
+    stiffness, as of two wires in line, pseudo-transient continuation replaces the first path. None
+    where no constraint is violated, or the paths lead to no stable equilibrium.
     """
     if not np.any(balance.Phi_0):
         return None
@@ -323,11 +328,11 @@ def _closed(
 
 
 def _nearer(balance: Balance, followed: SearchEnd, max_steps: int) -> SearchEnd:
-    """Return an equilibrium nearer to the start than one that has lost its stability on the way.
+    """Return an equilibrium nearer to the start than `followed`, whose path lost its stability.
 
-    Above a critical speed a shaft turns about its axis of inertia. No path from rest leads there;
-    one along which the centrifugal stiffness acts in full does, and it ends without a check: far
-    above that speed the negative stiffness is none of the softest.
+    Above a critical speed a shaft rotates about its axis of inertia. No path from rest leads there;
+    one with the full centrifugal stiffness from the beginning does. Its end is not checked for
+    stability: far above that speed the negative stiffness is not among the lowest.
     """
     unbound = replace(balance, follows=False)
     other = _followed(unbound, unbound.begun(), False, max_steps)
@@ -351,7 +356,7 @@ def _path_end(
     max_steps: int,
     fine: bool = False,
 ) -> SearchEnd:
-    """Return the end of a path, which is no equilibrium of all digits yet."""
+    """Return the end of a load path, which is not refined to round-off yet."""
     if isinstance(start, Unsolved):
         outcome = EquilibriumOutcome(start.verdict, 0.0, 0, 0.0)
         return SearchEnd(balance.q_0, balance.lam_0, outcome)
@@ -365,7 +370,7 @@ def _path_end(
 
 
 def _polished(balance: Balance, end: SearchEnd) -> SearchEnd:
-    """Return an equilibrium refined to round-off, or the state that the search reached."""
+    """Return the end refined to round-off, or the state with the reason for which that failed."""
     exact = balance.polished(end.q, end.lam)
     if isinstance(exact, Unsolved):
         outcome = replace(end.outcome, verdict=exact.verdict, residual=exact.residual)
@@ -393,7 +398,7 @@ def _settled(balance: Balance, start: Softness | None, max_steps: int) -> Search
         raise free_mechanism(balance.system.naming, q, free)
     if verdict is not Verdict.EQUILIBRIUM:
         return SearchEnd(q, lam, EquilibriumOutcome(verdict, 0.0, steps, residual, downhill=True))
-    # Where the start is held, a motion without stiffness is that of a critical load.
+    # If the start has full stiffness, a motion without stiffness here belongs to a critical load.
     if end.free.shape[1] and start:
         raise free_mechanism(balance.system.naming, q, end.free)
     solved = balance.solve(1.0, q, lam)
@@ -406,11 +411,11 @@ def _settled(balance: Balance, start: Softness | None, max_steps: int) -> Search
 
 
 def _neutral(balance: Balance, at: SearchEnd, soft: Softness) -> Array:
-    """Return the softest motions along which equilibria follow each other, shape (n_q, k).
+    """Return the softest motions along which there is a family of equilibria, shape (n_q, k).
 
     Such a motion, as the spin of a rod that hangs by its ends, has a stiffness of round-off, of
-    either sign. A step along it, held by a small mu, ends at another equilibrium if a second one
-    from there stays: a critical load or a soft spring drives it back.
+    either sign. A step along it with a small mu ends at another equilibrium if a second step from
+    there does not move; at a critical load, or with a soft spring, it moves back.
     """
     found = []
     for kappa, motion in zip(soft.kappa, soft.motions.T, strict=True):

@@ -1,18 +1,17 @@
-"""Stability of an equilibrium, and the motions that meet the least stiffness.
+"""Stability of an equilibrium, and the motions with the lowest stiffness.
 
-Stiffness is measured against the diagonal of K, D = |diag K|: kappa = phi^T K phi / phi^T D phi
-over motions that keep the constraints, Phi_q phi = 0. Measured against the mass the slowest
-bending of a beam would be (h/L)^4, which round-off hides; against D it is (h/L)^2 / n^2, with n
-elements.
+Stiffness is relative to the diagonal of K, D = |diag K|: kappa = phi^T K phi / phi^T D phi over
+motions that keep the constraints, Phi_q phi = 0. Relative to the mass the slowest bending of a
+beam would be of the order (h/L)^4, which round-off hides; relative to D it is (h/L)^2 / n^2, with
+n elements.
 
-Stable is an equilibrium without a motion of negative stiffness; all of them are counted
-(`numerics/inertia.py`), for one that is far from zero is none of the softest. K of loads that turn
-with the motion is not symmetric. Then real negative eigenvalues on the constraints are sought,
-motions that leave without turning back (divergence): there is none where the symmetric part of K is
-positive definite; there is one where the determinant is negative, and
-else all eigenvalues that could be are looked at. They are those of K phi = omega^2 M phi there:
-motions that diverge do so against their inertia, and which of an even number do depends on it.
-Flutter, pairs of complex
+An equilibrium is stable if no motion has negative stiffness; all negative ones are counted
+(`numerics/inertia.py`), because one far from zero is not among the lowest in magnitude. With
+follower loads K is not symmetric. Then real negative eigenvalues on the constraints are sought,
+motions that leave without returning (divergence): there is none where the symmetric part of K is
+positive definite; there is one where the determinant is negative, and else all candidates are
+computed. They are eigenvalues of K phi = omega^2 M phi on the constraints: motions that diverge do
+so against their inertia, and which of an even number do depends on it. Flutter, pairs of complex
 omega^2, is judged where a search ends.
 """
 
@@ -31,17 +30,17 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.inertia import ConstrainedMatrix
 from ancfdae.statics.balance import Balance
 
-# Motions looked for at once, and sweeps of the inverse iteration.
+# Number of motions in a block, and number of sweeps of the inverse iteration.
 _MOTIONS, _SWEEPS = 8, 6
-# Stiffness below this is round-off, which leaves up to 5e-16; a beam of 400 elements and
-# h/L = 1e-4 has 9e-14. A negative one must be clear of it, and K is shifted by more than eps, so
-# that it can be factorised.
+# Stiffness kappa below _FREE is round-off, which is up to 5e-16; a beam of 400 elements and
+# h/L = 1e-4 has 9e-14. Negative stiffness must exceed it in magnitude. K is shifted by _SHIFT, more
+# than eps, so that it can be factorised.
 _FREE, _SHIFT = 4e-15, 1e-14
-# The trace of a stiffness that one without its own is measured against.
+# Fraction of a coupled stiffness to which a coordinate without stiffness of its own is relative.
 _TRACE, _EPS = 1e-8, float(np.finfo(float).eps)
-# K is positive definite for certain if all stiffness is proven to exceed half of this.
+# K is proven to be positive definite if all stiffness exceeds half of this.
 _PROVEN = 1e-13
-# A negative stiffness is larger in size than the first of these with which pivots can be trusted.
+# Thresholds of negative stiffness; the first at which pivots can be trusted is used.
 _CLEAR = tuple(1e-14 * 16.0**k for k in range(12))
 
 
@@ -50,8 +49,8 @@ _CLEAR = tuple(1e-14 * 16.0**k for k in range(12))
 class Softness:
     """Stiffness of a configuration on the motions that keep its constraints.
 
-    K and Phi_q are values on the patterns of the system, D is the diagonal that stiffness is
-    measured against, shape (n_q,).
+    K and Phi_q are entries on the patterns of the system, D, (n_q,), is the diagonal to which the
+    stiffness is relative.
     """
 
     balance: Balance
@@ -61,13 +60,13 @@ class Softness:
 
     @cached_property
     def definite(self) -> bool:
-        """Whether K is proven to be positive definite; False where that takes motions."""
+        """Whether K is proven to be positive definite; False if only its motions could show it."""
         self.balance.work.factorisations += self._matrix.pattern.wide
         return self._matrix.definite(_PROVEN)
 
     @cached_property
     def stable(self) -> bool:
-        """Whether no motion meets a negative stiffness; of loads that turn see the module."""
+        """Whether no motion has negative stiffness; with follower loads, whether none diverges."""
         if self.definite:
             return True
         matrix = self._matrix
@@ -79,12 +78,12 @@ class Softness:
 
     @property
     def flutter(self) -> complex | None:
-        """Exponent of the vibration that loads which turn make grow, without damping; or None."""
+        """Exponent, 1/s, of the vibration that follower loads let grow without damping; or None."""
         return self._matrix.growing(self._M) if self.follows else None
 
     @property
     def seen_whole(self) -> bool:
-        """Whether all motions were searched for flutter, not some next to zero alone."""
+        """Whether all motions were searched for flutter, not only some nearest to zero."""
         return not self.follows or self._matrix.seen_whole
 
     @cached_property
@@ -94,15 +93,15 @@ class Softness:
 
     @property
     def follows(self) -> bool:
-        """Whether K is not symmetric, because loads turn with the motion: it may flutter."""
+        """Whether K is not symmetric because of follower loads, so that the system may flutter."""
         return not self.balance.system.traits.symmetric and self._matrix.skewness > _CLEAR[0]
 
     @property
     def judged(self) -> bool:
-        """Whether round-off leaves the sign of every stiffness; False where one may be neutral.
+        """Whether the sign of every stiffness is certain; False if one may be round-off.
 
-        All are counted down to the least number with which pivots can be trusted; between it and
-        zero the softest motions decide.
+        Negative ones are counted down to the least threshold at which pivots can be trusted;
+        between it and zero the softest motions decide.
         """
         matrix = self._matrix
         if matrix.below(_CLEAR[0]) is not None:
@@ -113,7 +112,7 @@ class Softness:
 
     @cached_property
     def _values(self) -> Array:
-        """Ritz's values of the symmetric part in the softest motions: no lower than its own."""
+        """Ritz values of the symmetric part of K in the space of the softest motions, ascending."""
         K = self.motions.T @ self.balance.system.pattern.dot(self.K, self.motions)
         return np.linalg.eigvalsh((K + K.T) / 2)
 
@@ -126,17 +125,17 @@ class Softness:
 
     @property
     def kappa(self) -> Array:
-        """Stiffness of the softest motions in size, rising, shape (k,)."""
+        """Relative stiffness of the softest motions by magnitude, rising, shape (k,)."""
         return self._softest[0]
 
     @property
     def motions(self) -> Array:
-        """The softest motions, shape (n_q, k)."""
+        """Motions with the lowest stiffness, shape (n_q, k)."""
         return self._softest[1]
 
     @property
     def multipliers(self) -> Array:
-        """Forces of constraints in these motions, with K x + Phi_q^T mu across all motions."""
+        """Multipliers mu, (n_lam, k), of the motions x: K x + Phi_q^T mu = +-kappa D x."""
         return self._softest[2]
 
     @property
@@ -177,44 +176,44 @@ class Softness:
 def negative_directions(matrix: ConstrainedMatrix) -> int:
     """Return the number of motions with a negative stiffness, of the symmetric part of K.
 
-    Zero where none can be counted (`counted`).
+    It is zero where `counted` cannot count them.
     """
     return counted(matrix) or 0
 
 
 def counted(matrix: ConstrainedMatrix) -> int | None:
-    """Return this number; None of a large matrix with which no pivots can be trusted."""
+    """Return the number of motions with negative stiffness; None if no pivots can be trusted."""
     counts = map(matrix.below, _CLEAR)
     count = next((count for count in counts if count is not None), None)
     return matrix.below_densely(_CLEAR[0]) if count is None else count
 
 
 def softest(balance: Balance, s: float, q: Array, lam: Array, mu: float = 0.0) -> Softness:
-    """Return the stiffness of a state at the load fraction s; with mu, of K + mu M_0."""
+    """Return the stiffness of a state at load factor s; with mu, of K + mu M_0."""
     q, lam = q.real, lam.real
     K = balance.tangent(s, q, lam).real + mu * balance.M_0.real
     return Softness(balance, K, balance.Phi_q(q).real, stiffness_of_coordinates(balance, K))
 
 
 def _orthonormal(X: Array) -> tuple[Array, Array]:
-    """Return Q and R of columns; without the checks that cost a small one more."""
+    """Return the QR factors of the columns of X, without SciPy's checks, which cost more."""
     reflectors, tau, *_ = scipy.linalg.lapack.dgeqrf(X)
     R = np.triu(reflectors[: X.shape[1]])
     return scipy.linalg.lapack.dorgqr(reflectors, tau)[0], R
 
 
 def stiffness_of_coordinates(balance: Balance, K: Array) -> Array:
-    """|diag K|; where it vanishes a trace of the stiffest one that it is joined to, by weight.
+    """Return |diag K|, (n_q,); a small fraction of a coupled stiffness where it vanishes.
 
-    A coordinate without stiffness of its own may be coupled to others, as by a load; it is
-    measured against a trace of that. Parts that nothing joins do not know each other: a strip of
-    foil is as stiff as it is, whatever stands beside it.
+    A coordinate without stiffness of its own may be coupled to others, as by a load. Parts that no
+    element or joint connects do not affect each other: a strip of foil has its own scale of
+    stiffness, whatever stands beside it.
     """
     pattern, w = balance.system.pattern, balance.system.weights
     D, root = np.abs(K[pattern.diagonal]), np.sqrt(w)
     if not np.any(D):
         return w
-    # Every row has its diagonal.
+    # The pattern contains the diagonal of every row.
     first, columns = pattern.places
     coupled = root * np.maximum.reduceat(np.abs(K) / root[columns], first[:-1])
     D = np.maximum(D, _TRACE * coupled)

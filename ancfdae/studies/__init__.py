@@ -1,1 +1,1 @@
-"""Calls that take a scene or a mechanical system: what a user of the package calls."""
+"""The public calls that take a scene or a mechanical system."""

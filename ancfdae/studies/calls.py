@@ -1,4 +1,4 @@
-"""The calls that a user needs: simulate, differentiate, gradient."""
+"""The main calls: simulate, differentiate, gradient(s) and evaluate."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from ancfdae.events.kinds import Event, Mode
     from ancfdae.studies.accuracy.search import ObservableEstimates
 
-# States of a run, the end included, at which strains are looked at: all would cost half a run.
+# Number of states of a run at which strains are checked, with the end: all would cost half a run.
 _LOOKS = 9
 
 
@@ -63,6 +63,7 @@ def simulate(
     integrator: Integrator,
     *,
     after: EventSolution | None = None,
+    keep: Keep | None = None,
     events: Sequence[Event],
     modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
@@ -77,6 +78,8 @@ def simulate(
     tolerance: float,
     observables: Sequence[Observable],
     at: Sequence[float] | Array | None = None,
+    events: Sequence[Event] | None = None,
+    modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
 ) -> ObservableEstimates: ...
 
@@ -97,10 +100,10 @@ def simulate(
 ) -> Solution | EventSolution | ObservableEstimates:
     """Integrate a scene, or any mechanical system, from t = 0 to `t_end`.
 
-    Warns of errors estimated larger than the motion, or large beside a singular position of joints
+    Warns of errors estimated larger than the motion, or large near a singular position of joints
     (`StabilityWarning`), of very many steps under error control (`ManyStepsWarning`), and of a
-    tolerance out of reach (`ToleranceWarning`). Beams that are strained beyond what their elements
-    are made for at one of nine instants, the end included, give a `LargeStrainWarning`.
+    tolerance that cannot be reached (`ToleranceWarning`). Beams strained beyond the validity of
+    their elements at one of nine times, the end included, give a `LargeStrainWarning`.
 
     Parameters
     ----------
@@ -110,19 +113,21 @@ def simulate(
         `HHT`, `Radau`, `IDA`, `IDAS` or `DOP853`, for example ``HHT(step=2**-7)``.
     tolerance : float, optional
         In place of an integrator, with `observables`: integrator and setting are chosen so that the
-        errors of these are estimated below it; the result is `ObservableEstimates`. The error of
-        each, its norm over the instants, is relative to the norm of its values there.
+        estimated errors of the observables are below it; the result is `ObservableEstimates`. The
+        error of each observable, its norm over the times `at`, is relative to the norm of its
+        values.
     observables, at : sequences, optional
-        What the tolerance is for, ``[position(rod.at_end, 1)]``; and its instants, ascending in
-        [0, t_end], by default 65, equally far apart; s.
+        Observables to which the tolerance applies, ``[position(rod.at_end, 1)]``, and their times,
+        ascending in [0, t_end], by default 65 equidistant ones; s.
     after : Solution or EventSolution, optional
-        A run of this model by the same integrator that ended before, at its end time, early or at
-        Ctrl-C: it goes on there, to round-off; under error control within the tolerance. A run with
-        events needs the same events and modes, and integrates its last phase again.
+        A run of this model by the same integrator that ended before `t_end`, early or at Ctrl-C: it
+        is continued, equal to one run to round-off, under error control within the tolerance. A run
+        with events needs the same events and modes, and integrates its last phase again.
     keep : int or sequence of float, optional
         Store only part of a run with prescribed steps. An int k stores the start, every k-th step
         and the end; a sequence of ascending times in [0, t_end], s, stores states interpolated as
-        by `Solution.at`.
+        by `Solution.at`. A run with events takes all integrators here, and each of its phases also
+        stores its start and its end.
     events : sequence of Event, optional
         `Impact`, `EndEvent` and `Switch`, at each of which a phase of the motion ends; the result
         is then an `EventSolution`.
@@ -133,14 +138,20 @@ def simulate(
     """
     system = as_system(model)
     if events is not None or modes is not None:
-        _require_alone("events", tolerance=tolerance, observables=observables, keep=keep)
+        if tolerance is not None:
+            _require_alone("tolerance", integrator=integrator, after=after, keep=keep)
+            from ancfdae.studies.accuracy.event_search import events_observed_within
+
+            model_with_events = system, t_end, events or (), modes
+            return events_observed_within(model_with_events, observables, at, tolerance, progress)
+        _require_alone("an integrator with events", observables=observables, at=at)
         from ancfdae.events.calls import EventRun
         from ancfdae.studies.events import simulated
 
         run_with_events = EventRun.of(
             system, t_end, integrator, events or (), modes, None, progress
         )
-        phased = simulated(run_with_events, after)
+        phased = simulated(run_with_events, after, keep)
         warn_of_strains("simulate", system, phased.q)
         return phased
     if tolerance is not None:
@@ -163,9 +174,9 @@ def simulate(
 
 
 def warn_of_strains(call: str, system: MechanicalSystem, q: Array, level: int = 3) -> None:
-    """Warn, once, of parts that are strained too far in a call, at some states, rows of q.
+    """Warn, once per call, of bodies strained too far at some states, rows of q.
 
-    `level` is that of the caller of the call, as in `warnings.warn`.
+    `level` is the stack level of the caller of the call, as in `warnings.warn`.
     """
     strained: dict[str, float] = {}
     for k in np.linspace(0, len(q) - 1, min(len(q), _LOOKS)).round().astype(int):
@@ -185,7 +196,7 @@ def warn_of_strains(call: str, system: MechanicalSystem, q: Array, level: int = 
 
 
 def _thinned(run: Run, keep: Keep) -> Solution:
-    """Return the run with the states at the times `keep` only."""
+    """Return the run with its states at the time indices `keep` only."""
     if run.after is not None:
         rule = "a run that continues another must keep all its states"
         repair = "Leave out `keep`, or run again from t = 0 without `after`."
@@ -195,7 +206,7 @@ def _thinned(run: Run, keep: Keep) -> Solution:
 
 
 def _warned(system: MechanicalSystem, solution: Solution) -> Solution:
-    """Return the run; warn the caller of the caller where its errors are large."""
+    """Return the run after warning the caller's caller if its errors are large."""
     if solution.outcome.success and not _is_off(solution, 4):
         rows = Rows(solution.t, solution.q, solution.v)
         warn_near_singular(system, rows, solution.estimated_errors, stacklevel=4)
@@ -203,7 +214,7 @@ def _warned(system: MechanicalSystem, solution: Solution) -> Solution:
 
 
 def _is_off(solution: Solution, level: int) -> bool:
-    """Whether the errors of a finished run are larger than the motion, of which this warns."""
+    """Return whether the estimated errors of a finished run exceed its motion; if so, warn."""
     errors = solution.estimated_errors
     if not solution.outcome.success or errors is None or errors.motion <= 1:
         return False
@@ -256,7 +267,7 @@ def differentiate(
     modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
 ) -> Solution | EventSolution:
-    """Integrate and differentiate the trajectory with respect to the design variables.
+    """Return the trajectory of a model with its derivatives in the design variables.
 
     Parameters
     ----------
@@ -271,7 +282,7 @@ def differentiate(
     Returns
     -------
     Solution
-        With `sensitivities`.
+        The trajectory with `sensitivities`.
     """
     method = DirectDifferentiation() if method is None else method
     require_kind(
@@ -306,24 +317,24 @@ def gradient(
     modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
 ) -> Gradient:
-    """Return value and design gradient of an objective.
+    """Return the value of an objective and its gradient in the design variables.
 
     Parameters
     ----------
     model, t_end, integrator, design, after, events, modes, progress
-        As in `differentiate`; with `after` a run that is there gets further gradients. The design
+        As in `differentiate`; with a finished run as `after` its gradients are computed. The design
         may contain ``"t_end"``, the end time, which is then the last variable.
     objective : Objective
         For example ``Integral((position(rod.at_end, 0) - 1.8) ** 2)``.
     tolerance : float, optional
-        In place of an integrator: integrator and setting are chosen so that the error of this
-        gradient is estimated below it; `Gradient.accuracy` has the bars, the choice and its price.
-        Relative, each derivative times its variable, to the norm of all of these; of the value to
-        the larger of that norm and the value.
+        In place of an integrator: integrator and setting are chosen so that the estimated error of
+        this gradient is below it; `Gradient.accuracy` has the error bars, the choice and its cost.
+        The tolerance is relative: derivatives times their variables to the norm of all of these,
+        the value to the larger of that norm and the value.
     method : GradientMethod, optional
         `DirectDifferentiation`, `Adjoint`, `ContinuousAdjoint`, `FiniteDifference` or
-        `ComplexStep`; by default `cheapest` of the first two, or `DirectDifferentiation` where
-        there is no adjoint (IDA, DOP853).
+        `ComplexStep`; by default `cheapest` of the first two, or `DirectDifferentiation` for
+        integrators without an adjoint (IDA, DOP853).
     memory : str or float, optional
         ``Adjoint(memory)``: a limit such as ``"200 MB"`` for the states of a run.
 
@@ -332,7 +343,7 @@ def gradient(
     StabilityWarning
         If the estimated errors of the run are larger than its motion.
     ToleranceWarning
-        If the tolerance is out of reach; what comes nearest is returned.
+        If the tolerance cannot be reached; the most accurate gradient found is returned.
     """
     return gradients(
         model,
@@ -365,14 +376,24 @@ def gradients(
     modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
 ) -> list[Gradient]:
-    """Return value and gradient of several objectives of one run; see `gradient`."""
+    """Return values and gradients of several objectives of one run, as `gradient` does for one."""
     objectives = require_sequence("objectives", objectives)
     design, free_end = without_end(design)
     system = as_system(model, design) if free_end else differentiable(model, design)
     require_objectives(system, objectives, t_end)
+    if memory is not None and tolerance is None:
+        method = _limited(method, memory)
     if events is not None or modes is not None or free_end:
         what = "design with t_end" if free_end else "events"
-        _require_alone(what, tolerance=tolerance, memory=memory, after=after)
+        _require_alone(what, after=after)
+        if tolerance is not None:
+            _require_alone("tolerance", integrator=integrator, memory=memory)
+            from ancfdae.studies.accuracy.event_search import event_gradients_within
+
+            parts = system, t_end, events or (), modes
+            return event_gradients_within(
+                parts, objectives, tolerance, (design, free_end), method, progress
+            )
         from ancfdae.events.calls import EventRun
         from ancfdae.studies.events import gradients as gradients_with_events
 
@@ -385,11 +406,6 @@ def gradients(
         from ancfdae.studies.accuracy.search import gradients_within
 
         return gradients_within(system, objectives, t_end, tolerance, method, progress)
-    if memory is not None:
-        if method is not None:
-            rule, repair = "limits the adjoint method only", "Write method=Adjoint(memory=...)."
-            raise InvalidInputError("memory", rule, f"method={method!r} too", repair)
-        method = Adjoint(memory)
     if method is None:
         adjoint = isinstance(integrator, AdjointIntegrator)
         method = cheapest(system.n_b, len(objectives)) if adjoint else DirectDifferentiation()
@@ -405,8 +421,16 @@ def gradients(
     return found
 
 
+def _limited(method: GradientMethod | None, memory: str | float) -> Adjoint:
+    """Return the adjoint method within a limit of memory, if given, otherwise the method."""
+    if method is not None:
+        rule, repair = "limits the adjoint method only", "Write method=Adjoint(memory=...)."
+        raise InvalidInputError("memory", rule, f"method={method!r} too", repair)
+    return Adjoint(memory)
+
+
 def _require_alone(where: str, **others: object) -> None:
-    """Refuse arguments that a call to a tolerance, or a run with events, does not take."""
+    """Raise InvalidInputError if one of the arguments `others` is given together with `where`."""
     for name, given in others.items():
         if given is not None:
             repair = "A tolerance chooses its own runs." if where == "tolerance" else ""
@@ -421,10 +445,10 @@ def evaluate(
     *,
     design: Sequence[str | DesignVariable] | None = None,
 ) -> float:
-    """Return the value of an objective on a run that is there; `observe` is for observables.
+    """Return the value of an objective on a finished run; `observe` is for observables.
 
-    Integrals are those over the instants of the solution; IDA, IDAS and DOP853 take them
-    beside the motion in `gradient`, which differs within their tolerance.
+    Integrals are quadratures over the time points of the solution; in `gradient` IDA, IDAS and
+    DOP853 integrate them with the motion, which differs within their tolerance.
 
     Parameters
     ----------
@@ -432,7 +456,7 @@ def evaluate(
     solution : Solution
         A finished run, from a call or a file; `gradient` with ``after=solution`` differentiates.
     model, design
-        What ran, as in `gradient`.
+        The model that was run, as in `gradient`.
     """
     require_kind("solution", solution, (Solution,), "Call simulate, or load_solution.")
     system = as_system(model, design)
@@ -449,7 +473,7 @@ def evaluate(
 def require_objectives(
     system: MechanicalSystem, objectives: Sequence[Objective], t_end: float
 ) -> None:
-    """Refuse objectives that a run of this system cannot have."""
+    """Raise InvalidInputError for objectives that a run of this system cannot have."""
     require_positive("t_end", t_end)
     repair = "Wrap an observable in Integral, Terminal, AtTimes, SmoothMaximum or SmoothUpperBound."
     if not objectives:
@@ -463,10 +487,10 @@ def require_objectives(
 def cheapest(variables: int, objectives: int) -> GradientMethod:
     """Return direct differentiation or the discrete adjoint, whichever costs less.
 
-    Both factorise once per step; direct differentiation then solves for every variable, the
-    adjoint repeats its pass for every objective. Measured on the crank-slider, up to two
-    variables cost less directly than a pass back; from there to six the two are within a few
-    per cent of the dynamics (report `performance`).
+    Both factorise once per step; direct differentiation then solves for every variable, the adjoint
+    repeats its backward pass for every objective. Measured on the crank-slider, direct
+    differentiation costs less than a backward pass up to two variables; from there to six the two
+    differ by a few per cent of the cost of the run (report `performance`).
     """
     return DirectDifferentiation() if variables <= 2 * objectives else Adjoint()
 
@@ -474,7 +498,7 @@ def cheapest(variables: int, objectives: int) -> GradientMethod:
 def differentiable(
     model: Scene | MechanicalSystem, design: Sequence[str | DesignVariable] | None
 ) -> MechanicalSystem:
-    """Return `as_system`; refuse a model without design variables."""
+    """Return the system of a model; InvalidInputError if it has no design variables."""
     system = as_system(model, design)
     if not system.n_b:
         raise InvalidInputError(
@@ -498,7 +522,7 @@ def without_end(
 def design_bounds(
     system: MechanicalSystem, design: Sequence[str | DesignVariable] | None
 ) -> tuple[Array, Array]:
-    """Return lower and upper bounds of the design values; infinite where there are none."""
+    """Return lower and upper bounds of the design values, (n_b,) each; infinite if undeclared."""
     known = {x.name: x.bounds for x in design or () if isinstance(x, DesignVariable)}
     pairs = [known.get(name) or (-np.inf, np.inf) for name in system.design_names]
     lower, upper = np.array(pairs, dtype=float).reshape(-1, 2).T
@@ -508,7 +532,10 @@ def design_bounds(
 def as_system(
     model: Scene | MechanicalSystem, design: Sequence[str | DesignVariable] | None = None
 ) -> MechanicalSystem:
-    """Assemble a scene; pass a mechanical system through, and refuse design variables for it."""
+    """Return the mechanical system of a scene, or a system itself.
+
+    InvalidInputError for design variables with a system, which has its own.
+    """
     if isinstance(model, Scene):
         return assemble(model, () if design is None else design)
     require_kind("model", model, (Scene, MechanicalSystem), "Pass one of them.")

@@ -1,4 +1,4 @@
-"""The calls `simulate`, `differentiate` and `gradients`, fits and sweeps of runs with events."""
+"""Runs with events behind `simulate`, `differentiate`, `gradients`, fits and sweeps."""
 
 from __future__ import annotations
 
@@ -8,42 +8,54 @@ from dataclasses import replace
 import numpy as np
 
 from ancfdae.equations.event_solution import EventSolution
-from ancfdae.errors.checks import require_kind
+from ancfdae.errors.checks import require_count, require_kind
 from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.errors.outcomes import uninterrupted
 from ancfdae.events.calls import EventRun, solution, states_of
 from ancfdae.events.objectives import along_phases, require_reductions, value_of
-from ancfdae.events.run import Beginning, PhasedRun
+from ancfdae.events.phases import Beginning, PhasedRun
+from ancfdae.events.thinning import thinned
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
 from ancfdae.sensitivity.method import Gradient, GradientMethod, UnfinishedRunError
 from ancfdae.sensitivity.objectives import AtTimes, Objective
 from ancfdae.sensitivity.observables.observable import Observable
+from ancfdae.studies.parts import Keep, instants
 
 
-def simulated(run: EventRun, after: object = None) -> EventSolution:
-    """Return the motion with its events, from `after` if given.
+def simulated(run: EventRun, after: object = None, keep: Keep | None = None) -> EventSolution:
+    """Return the run with events, continued from `after` if given.
 
     The last phase of `after`, which no event ended, is integrated again, so that its steps
-    equal the steps of a run in one go.
+    equal the steps of a run in one go. Phases hold all states, or their ends and
+    the states that `keep` names.
     """
+    thin = None if keep is None else thinned(_kept(keep, run.t_end))
     if after is None:
-        return uninterrupted(solution(run.phased()))
+        return uninterrupted(solution(run.phased(thin=thin)))
     require_kind("after", after, (EventSolution,), "Pass what simulate returned with events.")
     assert isinstance(after, EventSolution)
     begins = _beginning(run, after)
     if begins is None:
-        return uninterrupted(solution(run.phased()))
-    found, t_0 = solution(run.phased(begins)), begins.state[0]
+        return uninterrupted(solution(run.phased(thin=thin)))
+    found, t_0 = solution(run.phased(begins, thin)), begins.state[0]
     records = tuple(x for x in after.events if x.time <= t_0)
     return uninterrupted(
         replace(found, phases=after.phases[:-1] + found.phases, events=records + found.events)
     )
 
 
+def _kept(keep: Keep, t_end: float) -> int | Array:
+    """Return the number or times of the states to store; InvalidInputError for invalid ones."""
+    if isinstance(keep, int):
+        require_count("keep", keep, "keep=100 keeps one step of 100, and the ends of phases.")
+        return keep
+    return instants("keep", keep, t_end)
+
+
 def _beginning(run: EventRun, after: EventSolution) -> Beginning | None:
-    """Return where the last phase of an earlier run began; None if that is the start.
+    """Return the state in which the last phase of `after` began; None if it is the start.
 
     InvalidInputError for a run of another model, or one that has passed the end time.
     """
@@ -68,9 +80,9 @@ def _beginning(run: EventRun, after: EventSolution) -> Beginning | None:
 
 
 def differentiated(run: EventRun, method: object) -> EventSolution:
-    """Return the motion with its events, and the design derivatives of both if it reached the end.
+    """Return the run with events, with design derivatives if it reached its end.
 
-    The method is `DirectDifferentiation`.
+    InvalidInputError unless the method is `DirectDifferentiation`.
     """
     if not isinstance(method, DirectDifferentiation):
         rule = "must be DirectDifferentiation() in a run with events"
@@ -83,10 +95,10 @@ def differentiated(run: EventRun, method: object) -> EventSolution:
 
 
 def values(run: EventRun, objectives: Sequence[Objective]) -> tuple[EventSolution, Array]:
-    """Return a finished run with events and the values of objectives, without derivatives."""
+    """Return a finished run with events, and the values of objectives, shape (n,)."""
     require_reductions(objectives)
     phased = run.phased()
-    found = _reached(phased)
+    found = reached(phased)
     phases = states_of(phased)
     return found, np.array([value_of(objective, phases).real for objective in objectives])
 
@@ -94,7 +106,7 @@ def values(run: EventRun, objectives: Sequence[Objective]) -> tuple[EventSolutio
 def observed(run: EventRun, observable: Observable) -> tuple[EventSolution, Array]:
     """Return a finished run with events and an observable along all its phases, shape (n_t,)."""
     phased = run.phased()
-    found = _reached(phased)
+    found = reached(phased)
     nodes = along_phases(observable, states_of(phased))
     return found, np.concatenate([list(each.values())[-1] for each in nodes])
 
@@ -111,7 +123,7 @@ def measured(
     return solution, np.reshape([each.value for each in found], shape), slopes
 
 
-def _reached(phased: PhasedRun) -> EventSolution:
+def reached(phased: PhasedRun) -> EventSolution:
     """Return the solution of a run; UnfinishedRunError if it did not reach its end."""
     found = uninterrupted(solution(phased))
     if not phased.outcome.success:
@@ -128,11 +140,10 @@ def gradients(
         few = len(run.b) <= 4 * len(objectives)
         adjoint = isinstance(run.integrator, SteppedIntegrator) and not few
         method = Adjoint() if adjoint else DirectDifferentiation()
-    phased = run.phased()
-    found = _reached(phased)
+    phased, pairs = run.gradients(objectives, method)
+    found = reached(phased)
     last = replace(found.phases[-1], outcome=found.outcome)
     names = run.design_names
     return [
-        Gradient(value, slope, names, method, last, event_solution=found)
-        for value, slope in run.gradients(phased, objectives, method)
+        Gradient(value, slope, names, method, last, event_solution=found) for value, slope in pairs
     ]

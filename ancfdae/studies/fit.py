@@ -1,6 +1,6 @@
 """Residuals of measurements as functions of the design, for ``scipy.optimize.least_squares``.
 
-Misfits to measured data, of a run or at rest, make them, with their Jacobian.
+They come, with their Jacobian, from misfits to measured data of a run or of an equilibrium.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from ancfdae.events.kinds import Event, Mode
 
 R = TypeVar("R")
-# A run at a design, and what it computed.
+# A run at a design, and its solution.
 _Ran: TypeAlias = "tuple[Run | EventRun, Solution | EventSolution]"
 
 
@@ -57,21 +57,21 @@ class ResidualFunction(abc.ABC):
     ``least_squares(fit.residuals, fit.start, fit.jacobian, bounds=fit.bounds, x_scale="jac",
     gtol=None)`` finds the design values. Without ``gtol=None`` it may stop at the start and report
     success: SciPy compares J^T r with 1e-8 in any units, and in moduli in Pa that is small.
-    Both functions come from one computation per design, which is kept for the other. A later design
-    than the first that cannot be computed, or cannot be put together, is warned about
-    (`FailedDesignWarning`); its residuals are infinite, so that SciPy steps back.
+    Residuals and Jacobian of a design come from one computation, which is cached. A later design
+    than the first that cannot be computed, or assembled, raises a `FailedDesignWarning`; its
+    residuals are infinite, so that SciPy steps back.
 
     ``one + another`` are the residuals of two experiments with the same design variables.
 
     Attributes
     ----------
     design_names : tuple of str
-        Of the design values, in their order.
+        Names of the design variables, in the order of the design values.
     start : array, shape (n_b,)
         Design values of the model, each in its own unit.
     bounds : pair of arrays, shape (n_b,)
-        Lower and upper bounds of the design values: of `DesignVariable`, and those beyond which a
-        part of a scene cannot take a value, such as zero for a modulus; else infinite.
+        Lower and upper bounds of the design values: from `DesignVariable`, and limits of admissible
+        values of a part, such as zero for a modulus; else infinite.
     """
 
     bounds: tuple[Array, Array]
@@ -88,31 +88,31 @@ class ResidualFunction(abc.ABC):
 
     @abc.abstractmethod
     def residuals(self, b: Array) -> Array:
-        """Return weight times (computed - measured) of every measurement.
+        """Return weight times (computed - measured) of every measurement, (n_measurements,).
 
         Raises
         ------
         InvalidInputError
-            If the first design cannot be put together.
+            If the first design cannot be assembled.
         UnfinishedRunError
-            If its run ends early; the error carries what was computed.
+            If the run of the first design ends early; the error carries its solution.
         NonFiniteObjectiveError
-            If an observable is not finite in it.
+            If an observable is not finite at the first design.
         """
 
     @abc.abstractmethod
     def jacobian(self, b: Array) -> Array:
-        """Return the derivative of the residuals, shape (n_measurements, n_b).
+        """Return the derivatives of the residuals, shape (n_measurements, n_b).
 
-        NaN where the design has no residuals; see there.
+        NaN if the design has no residuals; see `residuals`.
         """
 
     @abc.abstractmethod
     def require(self, b: Array) -> None:
-        """Raise the error of a design that has no residuals."""
+        """Raise the error of the design b if it has no residuals."""
 
     def __add__(self, other: ResidualFunction) -> ResidualFunction:
-        """Return the fit to both experiments."""
+        """Return the residuals of both experiments, one after the other."""
         require_kind("fit", other, (ResidualFunction,), "For example misfit.fit(...).")
         same = self.design_names == other.design_names and np.array_equal(self.start, other.start)
         if not same:
@@ -126,11 +126,11 @@ class ResidualFunction(abc.ABC):
 
     @final
     def covariance(self, b: Array) -> Array:
-        """Return the covariance of the design values, shape (n_b, n_b), inverse of J^T J.
+        """Return the covariance of the design values, shape (n_b, n_b), the inverse of J^T J.
 
-        In first order, if the weights are one over the standard deviations of independent errors
-        of the data and b is the best fit. Infinite where the data do not tell the variables apart.
-        Raises the error of a design that has no residuals.
+        It holds in first order, if the weights are one over the standard deviations of independent
+        errors of the data and b is the best fit. Infinite if the data do not determine all
+        variables. Raises the error of a design that has no residuals.
         """
         self.require(b)
         J = self.jacobian(b)
@@ -146,9 +146,9 @@ class ResidualFunction(abc.ABC):
 
     @final
     def intervals(self, b: Array, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Return the confidence interval of every design value, by name.
+        """Return the confidence interval of every design value, by name, in its unit.
 
-        In first order, for normally distributed errors, from `covariance`; unit of the variable.
+        It follows from `covariance`, in first order, for normally distributed errors.
         """
         require_positive("level", level)
         if level >= 1:
@@ -204,7 +204,7 @@ class JointFit(ResidualFunction):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredFit(ResidualFunction, Generic[R]):
-    """Residuals of one experiment; `R` is what it computes at a design.
+    """Residuals of one experiment; `R` is the type of its result at a design.
 
     Attributes
     ----------
@@ -221,18 +221,18 @@ class MeasuredFit(ResidualFunction, Generic[R]):
     @property
     @abc.abstractmethod
     def count(self) -> int:
-        """Number of measurements, which is that of residuals."""
+        """Number of measurements, equal to the number of residuals."""
 
     @abc.abstractmethod
     def computed(self, b: Array, derivatives: bool, result: R | None) -> tuple[Array, Array, R]:
-        """Return residuals, Jacobian and what they come from, which is given if it is kept.
+        """Return residuals, (count,), Jacobian, (count, n_b), and the result they come from.
 
-        Both are computed whatever is wanted: they come from one result.
+        A cached `result` is reused. All are computed whatever is asked for.
         """
 
     @property
     def design_names(self) -> tuple[str, ...]:
-        """Names of the design values."""
+        """Names of the design variables of the system."""
         return tuple(self.system.design_names)
 
     @property
@@ -242,24 +242,24 @@ class MeasuredFit(ResidualFunction, Generic[R]):
 
     @final
     def residuals(self, b: Array) -> Array:
-        """Return weight times (computed - measured), row by row of the data."""
+        """Return weight times (computed - measured), row by row of the data, shape (count,)."""
         return self._designs.at(b).values.copy()
 
     @final
     def jacobian(self, b: Array) -> Array:
-        """Return the derivative of the residuals."""
+        """Return the derivatives of the residuals in the design variables, shape (count, n_b)."""
         jacobian = self._designs.at(b).jacobian
         assert jacobian is not None  # always computed
         return jacobian.copy()
 
     @final
     def require(self, b: Array) -> None:
-        """Raise the error of a design that has no residuals."""
+        """Raise the error of the design b if it has no residuals."""
         self._designs.result(b)
 
     @final
     def result(self, b: Array) -> R:
-        """Return the result computed at a design; raise the error of a design without one."""
+        """Return the result computed at design values b; raise its error if it failed."""
         return self._designs.result(require_array("design values", b, (len(self.design_names),)))
 
     @cached_property
@@ -274,20 +274,20 @@ class MeasuredFit(ResidualFunction, Generic[R]):
 @final
 @dataclass(frozen=True, eq=False)
 class Misfit:
-    """Measured values of observables at given instants.
+    """Measured values of observables at given times, to be fitted.
 
     Parameters
     ----------
     observables : sequence of Observable
-        What was measured, n of them.
+        The n observables that were measured.
     times : sequence of float
-        Instants of the measurements, m of them, none negative; s. Between the steps of a run values
-        are interpolated as by `AtTimes`.
+        The m times of the measurements, none negative; s. Between the steps of a run values are
+        interpolated as by `AtTimes`.
     data : array, shape (n, m)
-        Measured values; NaN where there is none.
+        Measured values in the units of the observables; NaN where nothing was measured.
     weights : float or array, optional
-        What residuals are multiplied by, of a shape that spreads to (n, m): one over the standard
-        deviation of the noise. One by default.
+        Factors of the residuals, broadcast to (n, m); one over the standard deviation of the noise.
+        One by default.
     """
 
     observables: Sequence[Observable]
@@ -333,7 +333,7 @@ class Misfit:
             End time, not before the last measurement; s.
         integrator : Integrator
         design : sequence of str or DesignVariable
-            What is to be found, as in `differentiate`; see `bounds` of the result.
+            Design variables to be found, as in `differentiate`; see `bounds` of the result.
         events : sequence of Event, optional
         modes : mapping of str to Mode, optional
             Events of every run, and the models that it continues with, as in `simulate`.
@@ -366,25 +366,25 @@ class RunResidualFunction(MeasuredFit["_Ran"]):
     ----------
     misfit : Misfit
     run : Run or EventRun
-        The system, the end time and the integrator; with events these, too.
+        The system, the end time, the integrator and, if any, the events.
     """
 
     misfit: Misfit
     run: Run | EventRun
 
     def solution(self, b: Array) -> Solution | EventSolution:
-        """Return the run at these design values; raises the error of a design that has none."""
+        """Return the solution at design values b; raise the error of a design without one."""
         return self.result(b)[1]
 
     @property
     def count(self) -> int:
-        """Number of measurements, which is that of residuals."""
+        """Number of measurements, without NaN, equal to the number of residuals."""
         return int(np.count_nonzero(~np.isnan(self.misfit.data)))
 
     def computed(
         self, b: Array, derivatives: bool, result: _Ran | None
     ) -> tuple[Array, Array, _Ran]:
-        """Return residuals and Jacobian, whatever is wanted: they come from one run."""
+        """Return residuals and Jacobian, always both, with the run and solution they come from."""
         run, solution = result or (self.run.at(b), None)
         if not isinstance(run, Run):
             return self._with_events(run)
@@ -417,7 +417,7 @@ class RunResidualFunction(MeasuredFit["_Ran"]):
 def _along(
     observable: Observable, system: MechanicalSystem, solution: Solution
 ) -> tuple[Array, Array]:
-    """Values of an observable and their total derivatives, shape (k,) and (k, n_b)."""
+    """Return an observable along a run, (k,), and its total design derivatives, (k, n_b)."""
     states, sensitivities = states_of(solution), solution.sensitivities
     assert sensitivities is not None  # asked for
     p = observable.partials(system, states)
@@ -429,7 +429,7 @@ def _along(
 
 
 def _interpolation(states: States, times: Numbers) -> Array:
-    """Weights of the instants in the values at some times, shape (m, k)."""
+    """Return the weights of k states in values interpolated at m times, shape (m, k)."""
     W = np.zeros((len(times), len(states.t)))
     for row, time in zip(W, times, strict=True):
         around, share = states.grid.interpolation(time)
@@ -440,16 +440,16 @@ def _interpolation(states: States, times: Numbers) -> Array:
 @final
 @dataclass(frozen=True, eq=False)
 class StaticMisfit:
-    """Measured values of observables at the equilibrium under all loads.
+    """Measured values of observables in static equilibrium under all loads, to be fitted.
 
     Parameters
     ----------
     observables : sequence of Observable
-        What was measured, n of them.
+        The n observables that were measured.
     data : array, shape (n,)
-        Measured values; NaN where there is none.
+        Measured values in the units of the observables; NaN where nothing was measured.
     weights : float or array, shape (n,), optional
-        What residuals are multiplied by; one over the standard deviation of the noise.
+        Factors of the residuals; one over the standard deviation of the noise.
     """
 
     observables: Sequence[Observable]
@@ -469,7 +469,7 @@ class StaticMisfit:
         design: Sequence[str | DesignVariable] | None = None,
         progress: bool = False,
     ) -> RunResidualFunction:
-        """Return residuals and Jacobian as functions of the design values; as `Misfit.fit`."""
+        """Return residuals and Jacobian as functions of the design values; see `Misfit.fit`."""
         require_flag("progress", progress)
         data, weights = np.asarray(self.data), np.asarray(self.weights)
         misfit = Misfit(self.observables, (0.0,), data[:, None], weights[:, None])
@@ -484,18 +484,18 @@ class StaticMisfit:
 @final
 @dataclass(frozen=True, eq=False)
 class FrequencyMisfit:
-    """Measured natural frequencies, the lowest first.
+    """Measured natural frequencies, the lowest first, to be fitted.
 
     Parameters
     ----------
     data : sequence of float
-        Circular frequencies of the lowest vibrations, rigid motions not counted; NaN where one was
-        not measured; rad/s.
+        Circular frequencies of the lowest vibrations, without rigid motions; rad/s. NaN for a
+        frequency that was not measured.
     weights : float or array, optional
-        What residuals are multiplied by; one over the standard deviation of the noise.
+        Factors of the residuals, in s/rad; one over the standard deviation of the noise.
     under_load : bool, optional
-        Whether the vibrations are those about the equilibrium under all loads; otherwise about the
-        start of the model.
+        Whether the vibrations are about the equilibrium under all loads; otherwise about the start
+        of the model.
     """
 
     data: Numbers
@@ -514,7 +514,7 @@ class FrequencyMisfit:
         design: Sequence[str | DesignVariable] | None = None,
         progress: bool = False,
     ) -> FrequencyFit:
-        """Return residuals and Jacobian as functions of the design values; as `Misfit.fit`."""
+        """Return residuals and Jacobian as functions of the design values; see `Misfit.fit`."""
         require_flag("progress", progress)
         system = differentiable(model, design)
         return FrequencyFit(system, fit_bounds(system, design), self, progress=progress)
@@ -523,7 +523,7 @@ class FrequencyMisfit:
 @final
 @dataclass(frozen=True, eq=False)
 class FrequencyFit(MeasuredFit[Modes]):
-    """Residuals of natural frequencies; modes that change places are compared by their order."""
+    """Residuals of natural frequencies; modes are compared by their order, also after crossings."""
 
     misfit: FrequencyMisfit
 
@@ -535,7 +535,7 @@ class FrequencyFit(MeasuredFit[Modes]):
     def computed(
         self, b: Array, derivatives: bool, result: Modes | None
     ) -> tuple[Array, Array, Modes]:
-        """Return residuals and Jacobian from the modes and their derivatives."""
+        """Return residuals and Jacobian of frequencies, with the modes that they come from."""
         data, weights = np.asarray(self.misfit.data), np.asarray(self.misfit.weights)
         computed = result or self._modes(self.system.with_values(b), len(data))
         vibrations = _vibrations(computed)[: len(data)]
@@ -545,7 +545,7 @@ class FrequencyFit(MeasuredFit[Modes]):
         return residuals, weights[measured, None] * computed.natural_frequencies_b[rows], computed
 
     def _modes(self, system: MechanicalSystem, count: int) -> Modes:
-        """Return modes with that many vibrations among them."""
+        """Return the lowest modes of a system, of which `count` are vibrations."""
         at = None
         if self.misfit.under_load:
             at = find_equilibrium(system, sensitivities=True)
@@ -568,7 +568,7 @@ class FrequencyFit(MeasuredFit[Modes]):
 
 
 def _vibrations(computed: Modes) -> Array:
-    """Return which modes vibrate."""
+    """Return the indices of the modes that are vibrations."""
     return np.flatnonzero([kind is ModeKind.VIBRATION for kind in computed.kinds])
 
 

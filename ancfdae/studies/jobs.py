@@ -1,4 +1,4 @@
-"""Many calls of one function, here or in the workers of an executor, answers as they arrive."""
+"""Many calls of one function, in this process or in workers; answers as they arrive."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ancfdae.numerics.progress import progress_bar
 
 _Task = TypeVar("_Task")
 _Answer = TypeVar("_Answer")
-# What the ways to send a task raise if it does not pickle.
+# Exceptions raised on sending a task to a worker if it does not pickle.
 _UNSENT = (pickle.PicklingError, AttributeError, TypeError)
 
 
@@ -31,15 +31,15 @@ def answers(
 ) -> Generator[tuple[int, _Answer | str], None, None]:
     """Yield the key of a task and its answer, as answers arrive.
 
-    In this process one after the other without an executor, to which they go `chunk` by chunk.
-    Where a worker was lost the answer is why, in words. What has not begun when the loop ends early
-    is cancelled; close the iterator for that. A progress bar counts the tasks, and those that are
-    `done` already.
+    Without an executor the tasks are done in this process, one after the other; with one they are
+    sent in chunks of `chunk`. If a worker was lost the answer is the reason, a text. Tasks that
+    have not begun when the loop ends early are cancelled; close the iterator for that. A progress
+    bar counts the tasks, including `done` tasks completed before.
 
     Raises
     ------
     InvalidInputError
-        If one of the `parts`, which tasks and function are made of, does not pickle.
+        If one of the `parts`, of which tasks and function consist, does not pickle.
     KeyboardInterrupt
         Also if a worker was interrupted.
     """
@@ -62,7 +62,7 @@ def _from_workers(
     executor: Executor,
     chunk: int,
 ) -> Generator[tuple[int, _Answer | Exception], None, None]:
-    """Yield answers, or what a worker was lost by."""
+    """Yield task keys with answers, or with the exception by which a worker was lost."""
     parts = [list(tasks)[k : k + chunk] for k in range(0, len(tasks), chunk)]
     futures = {_sent(executor, function, [tasks[key] for key in part]): part for part in parts}
     try:
@@ -78,7 +78,7 @@ def _from_workers(
 
 
 def _together(function: Callable[[_Task], _Answer], tasks: Sequence[_Task]) -> list[_Answer]:
-    """Work on tasks in a worker; answers are fewer than tasks after an interrupt."""
+    """Return answers to tasks, in a worker; fewer than tasks after an interrupt."""
     answered = list[_Answer]()
     with suppress(KeyboardInterrupt):
         answered.extend(map(function, tasks))
@@ -88,7 +88,7 @@ def _together(function: Callable[[_Task], _Answer], tasks: Sequence[_Task]) -> l
 def _sent(
     executor: Executor, function: Callable[[_Task], _Answer], tasks: Sequence[_Task]
 ) -> Future[list[_Answer]]:
-    """Send tasks; what cannot be sent is an answer that says so."""
+    """Return the future of tasks sent to an executor; it holds the exception if that failed."""
     try:
         return executor.submit(_together, function, tasks)
     except (BrokenExecutor, *_UNSENT) as error:
@@ -100,7 +100,7 @@ def _sent(
 def _arrived(
     future: Future[list[_Answer]], keys: Sequence[int]
 ) -> Iterator[tuple[int, _Answer | Exception]]:
-    """Yield keys and answers of tasks that travelled together."""
+    """Yield keys and answers of tasks that were sent to a worker together."""
     error = CancelledError() if future.cancelled() else future.exception()
     if error is None:
         yield from zip(keys, future.result(), strict=False)
@@ -113,7 +113,7 @@ def _arrived(
 
 
 def _require_pickles(lost: Exception, parts: Mapping[str, object]) -> None:
-    """Name the part that does not pickle, if that is why an answer was lost."""
+    """Raise InvalidInputError naming the part that does not pickle, if this lost an answer."""
     for name, part in parts.items() if isinstance(lost, _UNSENT) else ():
         try:
             pickle.dumps(part)
@@ -128,14 +128,14 @@ def _require_pickles(lost: Exception, parts: Mapping[str, object]) -> None:
 
 @final
 class TimeLimit:
-    """Raises KeyboardInterrupt in the thread of its `with` block after `seconds`, if not None.
+    """Context that raises KeyboardInterrupt in its thread after `seconds`, if not None.
 
-    Integrators end at a KeyboardInterrupt as at any instant; `expired` tells it from the user's.
-    Unlike a signal it reaches threads, in which the workers of Dask compute.
+    Integrators stop at a KeyboardInterrupt at any time; `expired` distinguishes it from one of the
+    user. Unlike a signal it works in threads, in which the workers of Dask compute.
     """
 
     def __init__(self, seconds: float | None) -> None:
-        # Longer waits than a clock can count are none.
+        # Waits longer than a timer can count are treated as no limit.
         self.seconds = None if seconds is not None and seconds > threading.TIMEOUT_MAX else seconds
         self.expired = self._left = False
         self._lock = threading.Lock()
@@ -150,7 +150,7 @@ class TimeLimit:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Stop the clock; an interrupt on its way arrives here, at the call of `cancel`."""
+        """Stop the timer; an interrupt already raised arrives here, at the call of `cancel`."""
         with self._lock:
             self._left = True
         self._timer.cancel()

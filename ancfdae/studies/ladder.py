@@ -1,9 +1,11 @@
-"""The cheapest model of a scene that is accurate enough: steps halved until they err little.
+"""Comparison of models of a scene: the cheapest one that is accurate enough.
 
-The error of a run of a rung against the truth of the richest model has four parts, whose sizes are
-added: the *model* (the rung's kind and the richest model, each on its finest mesh), the *mesh* (the
-rung and its kind on the finest mesh), the *step* (the run and the finest one of the rung, with the
-bar of that) and the *reference* (bars of mesh and step of the richest model itself).
+A rung is a model on a mesh; its steps are halved until their error is small. The error of a run of
+a rung relative to the richest model has four parts, whose absolute values are summed: the *model*
+(difference of the rung's model and the richest one, each on its finest mesh), the *mesh*
+(difference of the rung and its model on the finest mesh), the *step* (difference of the run and the
+finest one of the rung, plus the error bar of that) and the *reference* (error bars of mesh and step
+of the richest model itself).
 """
 
 from __future__ import annotations
@@ -40,15 +42,15 @@ KINDS: Final[tuple[ErrorOf, ...]] = ("objective", "gradient")
 @final
 @dataclass(frozen=True)
 class VariantRun:
-    """One run of value and gradient.
+    """One run of value and gradient with one step.
 
     Attributes
     ----------
     step : float
         Size of the step; s.
     work : int
-        Number of steps times the number of coordinates and multipliers. Choices compare it: it is
-        the same in every call, unlike the time that a run takes.
+        Number of steps times the number of coordinates and multipliers. Choices compare it, because
+        unlike processor time it is the same in every call.
     seconds : float
         Measured processor time; s.
     numbers : array, shape (1 + n_b,)
@@ -74,18 +76,19 @@ class ModelVariant:
     Attributes
     ----------
     name : str
-        What was exchanged, ``"rigid"`` say.
+        Simplification of the model, for example ``"rigid"``.
     level : int
-        Binary logarithm of the number of elements over that declared.
+        Binary logarithm of the number of elements over the declared number.
     outcome : str
-        Why it has no runs, or "done".
+        Why there are no runs, or "done".
     scene : Scene
     design : tuple of DesignVariable
-        Those that the model has, with the targets that it has.
+        The design variables that the model has, with the targets that it has.
     runs : tuple of VariantRun
-        From the longest step to the shortest.
+        Runs from the longest step to the shortest.
     bar : array, shape (1 + n_b,)
-        Estimated error of the last run by its step, of each of `numbers`; unit of the objective.
+        Estimated error of the last run by its step, for each of its `numbers`; unit of the
+        objective.
     """
 
     name: str
@@ -98,12 +101,12 @@ class ModelVariant:
 
     @property
     def numbers(self) -> Array:
-        """Value and derivatives times their variables, of the finest run, shape (1 + n_b,)."""
+        """Value and scaled derivatives (times variables) of the finest run, shape (1 + n_b,)."""
         return self.runs[-1].numbers
 
     @property
     def elements(self) -> int:
-        """Number of elements of the model that deform."""
+        """Number of flexible elements of the model."""
         beams = () if self.scene is None else self.scene.beams
         return sum(beam.element_count for beam in beams if not beam.rigid)
 
@@ -111,9 +114,9 @@ class ModelVariant:
 @final
 @dataclass(frozen=True)
 class ModelChoice:
-    """A rung with a step, and the parts of its relative error in the value or the gradient.
+    """A model on a mesh with a step, and the parts of its relative error in value or gradient.
 
-    `of` tells in which: that asked for, or the one with the larger error if both were.
+    `of` is the kind of error: the one asked for, or the larger one if both were.
     """
 
     rung: ModelVariant
@@ -123,11 +126,11 @@ class ModelChoice:
 
     @property
     def error(self) -> float:
-        """Estimated relative error of the chosen model: the sum of `parts`."""
+        """Estimated relative error of the chosen model and step: the sum of `parts`."""
         return sum(self.parts.values())
 
     def __repr__(self) -> str:
-        """Return the model, its step, its cost and what it errs by."""
+        """Return the model, its step, its cost and its estimated error as text."""
         shares = ", ".join(f"{name} {size:.1g}" for name, size in self.parts.items())
         return (
             f"{self.rung.name}, {self.rung.elements} elements, step {self.run.step:.3g} s: "
@@ -137,7 +140,7 @@ class ModelChoice:
 
 @final
 class NoAccurateModelError(AncfdaeError):
-    """No model that was measured is accurate enough; `best` is the most accurate one."""
+    """No measured model is accurate enough; `best` is the most accurate one."""
 
     def __init__(self, tolerance: float, of: ErrorOf | None, best: ModelChoice) -> None:
         where = " and the ".join(_asked(of))
@@ -152,15 +155,15 @@ class NoAccurateModelError(AncfdaeError):
 @final
 @dataclass(frozen=True, repr=False)
 class ModelComparison(PrintedTable):
-    """Rungs of a ladder of models, the richest one last.
+    """Models of a scene on several meshes, with their errors and costs, the richest one last.
 
     Attributes
     ----------
     rungs : tuple of ModelVariant
     names : tuple of str
-        Of the design variables.
+        Names of the design variables.
     tolerance : float
-        Largest relative error that was asked for; dimensionless.
+        Largest admissible relative error (dimensionless).
     mesh_bar, mesh_orders : array, shape (1 + n_b,)
         Estimated error of the richest model by its mesh, unit of the objective, and the orders
         observed in its meshes, nan if there are only two.
@@ -173,9 +176,9 @@ class ModelComparison(PrintedTable):
     mesh_orders: Array
 
     def to_dataframe(self) -> Any:
-        """Return a table of pandas with a row for each run: model, step, cost, error and parts.
+        """Return a pandas table with a row for each run: model, step, cost, error and its parts.
 
-        The error is that in the value or the gradient, whichever is larger (``of``).
+        The error is the larger one of value and gradient; the column ``of`` says which.
         """
         rows = [
             {
@@ -196,24 +199,23 @@ class ModelComparison(PrintedTable):
 
     @property
     def richest(self) -> ModelVariant:
-        """Runs of the richest model, against which all others are measured."""
+        """The richest model on its finest mesh, with which all others are compared."""
         return self.rungs[-1]
 
     @property
     def chosen(self) -> ModelChoice:
-        """The cheapest within the tolerance in both value and gradient; see `recommend`."""
+        """The cheapest run within the tolerance in both value and gradient; see `recommend`."""
         return self.recommend(self.tolerance)
 
     def recommend(self, tolerance: float, of: ErrorOf | None = None) -> ModelChoice:
-        """Return the run with the least `work` among those whose errors are within the tolerance.
+        """Return the run with the least `work` whose error is within the tolerance.
 
         Parameters
         ----------
         tolerance : float
-            Largest relative error that was asked for; dimensionless.
-            Largest relative error, the sum of the parts.
+            Largest admissible relative error, the sum of the parts (dimensionless).
         of : {"objective", "gradient"}, optional
-            What must be within the tolerance; by default both the value and the gradient. The
+            Whether the value or the gradient must be within the tolerance; by default both. The
             choice then has the parts of the larger of the two errors.
 
         Raises
@@ -229,22 +231,22 @@ class ModelComparison(PrintedTable):
         return min(enough, key=lambda each: (each.run.work, each.error))
 
     def choices(self, of: ErrorOf | None = None) -> list[ModelChoice]:
-        """Return all runs of all rungs with their errors; `of` as in `recommend`."""
+        """Return all runs of all models with their errors; argument `of` as in `recommend`."""
         if of is not None and str(of) not in KINDS:
             repair = "Choose one, or leave it out for both."
             raise InvalidInputError("of", f"must be one of {', '.join(KINDS)}", repr(of), repair)
         return [self.choice(rung, run, of) for rung in self.rungs for run in rung.runs]
 
     def without_influence(self, rung: ModelVariant) -> tuple[str, ...]:
-        """Return the variables that the rung's value does not depend on, but the richest's does."""
+        """Return variables that affect the richest model's value but not this simpler model's."""
         lost = (rung.numbers[1:] == 0) & (self.richest.numbers[1:] != 0) if rung.runs else []
         return tuple(name for name, x in zip(self.names, lost, strict=bool(rung.runs)) if x)
 
     def table(self) -> str:
-        """Return all rungs as a table in plain text: errors at their best steps, and costs.
+        """Return all models as a plain-text table: errors at their best steps, and costs.
 
-        The step shown is the longest one with which the rung is within the tolerance in both value
-        and gradient, or, for a rung that never is, the step with the smallest error.
+        The step shown is the longest one with which the model is within the tolerance in both value
+        and gradient, or else the step with the smallest error.
         """
         return f"{columns(self._table(), shorten=False)}\n{self._foot()}"
 
@@ -260,7 +262,7 @@ class ModelComparison(PrintedTable):
         return f"mesh of the last: {bars}; orders {orders}"
 
     def choice(self, rung: ModelVariant, run: VariantRun, of: ErrorOf | None = None) -> ModelChoice:
-        """Return a run of a rung with the parts of its error; `of` as in `recommend`."""
+        """Return one run of a model with the parts of its error; `of` as in `recommend`."""
         exact, numbers = self.richest.numbers, rung.numbers
         alike = [x for x in self.rungs if x.name == rung.name and x.runs]
         finest = max(alike, key=lambda x: x.level)
@@ -301,7 +303,7 @@ class ModelComparison(PrintedTable):
         ]
 
 
-#: Parts of an error, those of the model first.
+#: Parts of an error, first the parts due to the model and its mesh.
 _PARTS: Final = ("model", "mesh", "step", "reference")
 
 
@@ -310,7 +312,7 @@ def _asked(of: ErrorOf | None) -> tuple[ErrorOf, ...]:
 
 
 def error(difference: Array, exact: Array, of: ErrorOf) -> float:
-    """Return a difference of value or gradient relative to the size of the exact one."""
+    """Return the norm of a difference of value or gradient over the norm of the exact one."""
     rows = slice(1) if of == "objective" else slice(1, None)
     size, whole = (float(np.linalg.norm(x[rows])) for x in (difference, exact))
     return ratio(size, whole)
@@ -319,20 +321,20 @@ def error(difference: Array, exact: Array, of: ErrorOf) -> float:
 # -- measurements ------------------------------------------------------------------------------
 
 
-# Share of the tolerance that the step of the finest run may take, or the last doubled mesh.
+# Fraction of the tolerance that the step of the finest run, or the last doubled mesh, may take.
 _SHARE = 1 / 8
-# A model that errs by more needs its value no better than to this share of that.
+# Fraction of the model's own error below which errors by step and mesh need not be reduced.
 _KNOWN = 1 / 8
-# Steps of the first run; runs shorter than _SHORT seconds are timed three times.
+# Number of steps of the first run; runs shorter than _SHORT seconds are timed three times.
 _FIRST, _SHORT = 32, 0.05
-# Runs whose differences show the order.
+# Number of runs whose differences show the order of convergence.
 _SEEN = 3
 
 
 @final
 @dataclass(frozen=True)
 class Question:
-    """The task of every model; `scale` has 1 and the values of the design variables."""
+    """Objective and design to compute with every model; `scale` holds 1 and the design values."""
 
     objective: Objective
     t_end: float
@@ -342,7 +344,7 @@ class Question:
     max_steps: int
 
     def numbers(self, system: MechanicalSystem, integrator: HHT) -> Array:
-        """Return value and scaled derivatives; zero for variables that the model lacks."""
+        """Return value and scaled derivatives, (1 + n_b,); zero for variables the model lacks."""
         numbers = np.zeros(len(self.scale))
         if not system.n_b:
             solution = simulate(system, self.t_end, integrator)
@@ -355,7 +357,7 @@ class Question:
         return numbers * self.scale
 
     def is_small(self, difference: Array, at: Array, richest: ModelVariant | None) -> bool:
-        """Whether an error is small against the tolerance, or against the error of the model."""
+        """Whether an error is small relative to the tolerance, or to the error of the model."""
         exact = at if richest is None else richest.numbers
         return all(
             error(difference, exact, of)
@@ -364,7 +366,7 @@ class Question:
         )
 
     def settled_mesh(self, rungs: Sequence[ModelVariant], richest: ModelVariant) -> bool:
-        """Whether the last of some meshes of a model needs no finer one."""
+        """Whether the mesh error of a model is so small that no finer mesh is needed."""
         if len(rungs) < 2 or not (rungs[-1].runs and rungs[-2].runs):
             return False
         fine, coarse = rungs[-1].numbers, rungs[-2].numbers
@@ -374,20 +376,20 @@ class Question:
 def refined_runs(
     model: Scene, design: Sequence[DesignVariable], question: Question, richest: ModelVariant | None
 ) -> tuple[tuple[VariantRun, ...], Array]:
-    """Return runs from the longest step to one that errs little, and the bar of that.
+    """Return runs from the longest step to one with a small error, and the error bar of that.
 
-    A run of more work than the best one of the richest model is the last.
+    The last run is one of more work than the best run of the richest model, at most.
 
     Raises
     ------
     InvalidInputError, UnfinishedRunError
-        If the model does not have what is asked for, or runs do not get to the end.
+        If the model lacks parts that the objective names, or its runs do not reach the end.
     """
     system, runs = assemble(model, design), list[VariantRun]()
     steps, size, left = _FIRST, system.n_q + system.n_lam, None
     while steps <= question.max_steps:
         try:
-            if not runs:  # What a system makes at first use is not to be timed.
+            if not runs:  # Preparations of a system on first use are not timed.
                 question.numbers(system, HHT(question.t_end / steps))
             step = question.t_end / steps
             run = partial(question.numbers, system, HHT(step))
@@ -411,7 +413,7 @@ def _bar(runs: Sequence[VariantRun]) -> Array:
     return convergence_bars(np.diff([run.numbers for run in runs[-_SEEN:]], axis=0), HHT.order)[0]
 
 
-# Share of the tolerance that the mesh of the richest model may take, by which all is measured.
+# Fraction of the tolerance that the mesh error of the richest model, the reference, may take.
 _MESH = 1 / 4
 
 
@@ -427,27 +429,28 @@ def choose_model(
     max_steps: int = 8192,
     progress: bool = False,
 ) -> ModelComparison:
-    """Measure which model, mesh and step a value and its gradient need.
+    """Compare simpler models, meshes and steps for a value and its gradient.
 
     Models are made from the scene: rigid beams, all or all but one; elements with fewer
     coordinates; no damping; each with some numbers of elements. Every one is run with halved steps
-    until the step errs little, and compared with the scene as declared on its finest mesh.
+    until the error of the step is small, and compared with the declared scene on its finest mesh.
 
     Parameters
     ----------
     scene : Scene
-        As rich as makes sense, with elements as one would choose them.
+        The most detailed model that makes sense, with a reasonable number of elements.
     objective, t_end, design, progress
         As in `gradient`. Errors are relative to the value, which must not vanish.
     tolerance : float
-        Relative error that neither the value nor the gradient may exceed; the result tells of
-        looser ones too.
+        Largest admissible relative error of value and gradient (dimensionless); the result can also
+        recommend models for looser ones.
     alternatives : mapping of str to Scene, optional
-        Models of your own, in which what the objective names has the same name.
+        Further models by name, with the same names for everything that the objective uses.
     doublings : int
-        How often the elements may be doubled to see their error.
+        How often the number of elements may be doubled to estimate the error of the mesh.
     max_steps : int
-        Steps of the longest run; what errs more by its step says so in that part.
+        Largest number of steps of a run; if the step error is then still large, it is in the part
+        ``step``.
     """
     require_kind("scene", scene, (Scene,), "Pass a Scene.")
     require_positive("tolerance", tolerance)
@@ -477,7 +480,7 @@ def choose_model(
 def _richest(
     declared: Kind, levels: Sequence[int], question: Question, done: Callable[[], object]
 ) -> list[ModelVariant]:
-    """Measure the scene as declared on ever finer meshes, until the mesh errs little."""
+    """Return runs of the declared scene on finer and finer meshes until the mesh error is small."""
     richest = list[ModelVariant]()
     for level in levels:
         richest.append(_rung(declared, level, question, None))
@@ -497,7 +500,7 @@ def _simpler(
     question: Question,
     done: Callable[[], object],
 ) -> list[ModelVariant]:
-    """Measure simpler models, each on the meshes of the richest until it settles."""
+    """Return runs of simpler models, refined until no finer mesh is needed."""
     rungs = list[ModelVariant]()
     for kind in kinds:
         known = len(rungs)
@@ -510,7 +513,7 @@ def _simpler(
 
 
 def _rung(kind: Kind, level: int, question: Question, richest: ModelVariant | None) -> ModelVariant:
-    """Measure a model on a mesh; one that cannot be is a rung without runs."""
+    """Return a model on a mesh with its runs; without runs if it cannot be computed."""
     rung = ModelVariant(kind.name, level, "")
     try:
         declared = kind.build()
@@ -526,7 +529,7 @@ def _rung(kind: Kind, level: int, question: Question, richest: ModelVariant | No
 
 
 def _mesh_bar(richest: Sequence[ModelVariant]) -> tuple[Array, Array]:
-    """Return the bar of the finest mesh, and the orders seen in the last three."""
+    """Return the error bar of the finest mesh, and the orders observed in the last three."""
     numbers = [rung.numbers for rung in richest if rung.runs][-3:]
     return convergence_bars(np.diff(numbers, axis=0), MESH_ORDER)
 

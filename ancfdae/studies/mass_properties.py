@@ -1,4 +1,4 @@
-"""Mass, centre of mass and inertia of a scene as it starts, with design derivatives."""
+"""Mass, centre of mass and inertia of a scene at t = 0, with design derivatives."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class MassProperties(PrintedTable):
     Attributes
     ----------
     mass : float
-        kg.
+        Total mass; kg.
     centre : array, shape (d,)
         Centre of mass; m.
     inertia : array, shape (3, 3), in the plane (1, 1)
@@ -46,7 +46,7 @@ class MassProperties(PrintedTable):
     names: tuple[str, ...]
 
     def to_dataframe(self) -> Any:
-        """Return a table of pandas with a row for the mass and each entry of centre and inertia.
+        """Return a pandas table with a row for the mass and each entry of centre and inertia.
 
         Rows are named ``mass``, ``centre.y`` or ``inertia.xy``. The column ``value`` is in kg, m or
         kg m^2; each design variable has a column of derivatives, ``d/d rod.height``.
@@ -57,7 +57,7 @@ class MassProperties(PrintedTable):
         return pandas().DataFrame(table, index=pandas().Index(labels, name="quantity"))
 
     def _entries(self) -> tuple[list[str], Array, Array]:
-        """Return names, values and derivatives (n, n_b) of mass, centre and upper inertia."""
+        """Return names, values, (n,), and derivatives, (n, n_b), of mass, centre and inertia."""
         d, n = len(self.centre), len(self.inertia)
         i, j = np.triu_indices(n)
         axes = "xyz"[-n:]
@@ -82,7 +82,7 @@ def mass_properties(
     beam: str | None = None,
     design: Sequence[str | DesignVariable] = (),
 ) -> MassProperties:
-    """Return mass, centre and inertia of a scene, or of one of its bodies, as it starts.
+    """Return mass, centre of mass and inertia of a scene, or of one of its bodies, at t = 0.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def mass_properties(
     beam : str, optional
         Name of a beam, a body or a point mass; by default the whole scene.
     design : sequence of str or DesignVariable, optional
-        What to differentiate in, for a scene.
+        Design variables to differentiate in, for a scene.
     """
     require_kind("model", model, (Scene, AncfSystem), "Pass one of them.")
     system = as_system(model, design)
@@ -113,7 +113,7 @@ def mass_properties(
 
 
 def _at_start(system: AncfSystem, observable: Observable) -> tuple[float, Array]:
-    """Value at the start and total derivative."""
+    """Return an observable at t = 0 and its total design derivative, shape (n_b,)."""
     observable.check(system)
     q, v = system.start()
     states = States(np.zeros(1), q[None], v[None], np.zeros((1, system.n_lam)))

@@ -1,4 +1,4 @@
-"""A scene with other meshes and simpler models, and design variables that mean the same there."""
+"""A scene with other meshes or simpler models, with equivalent design variables."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ancfdae.model.scene import Scene
 def with_mesh(
     scene: Scene, design: Sequence[DesignVariable], level: int
 ) -> tuple[Scene, tuple[DesignVariable, ...]]:
-    """Return a scene with 2^level times the elements, and the same design variables.
+    """Return a scene with 2^level times the elements, and the equivalent design variables.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def with_mesh(
 
 
 def coarsest(scene: Scene) -> int:
-    """Return the lowest level, -2 at least, at which every mesh is still a whole one."""
+    """Return the lowest level, at least -2, at which every beam has whole elements."""
     counts = [beam.element_count for beam in scene.beams if not beam.rigid]
     return min(level for level in (0, -1, -2) if all(n % (1 << -level) == 0 for n in counts))
 
@@ -53,7 +53,7 @@ def _fewer(count: int, level: int) -> int:
 
 
 def _variable(variable: DesignVariable, scene: Scene, level: int) -> DesignVariable:
-    """Return the variable with targets that name the elements where theirs were."""
+    """Return the design variable with targets for the elements that replace its elements."""
     factors = {
         new: variable.factor(text)
         for text in variable.targets
@@ -82,15 +82,15 @@ DECLARED = "as declared"
 @final
 @dataclass(frozen=True)
 class Kind:
-    """A simpler model of a scene.
+    """A kind of model of a scene, for example with rigid beams.
 
     Attributes
     ----------
     name : str
     build : callable
-        Returns the scene, or raises InvalidInputError where parts do not go with each other.
+        Returns the scene, or raises InvalidInputError if its parts do not fit together.
     lacks : str
-        A parameter of beams that it leaves out.
+        A parameter of beams that the model does not have.
     """
 
     name: str
@@ -101,7 +101,7 @@ class Kind:
 def known_design(
     scene: Scene, design: Sequence[DesignVariable], lacks: str = ""
 ) -> tuple[DesignVariable, ...]:
-    """Return the variables with the targets that a scene has, without one parameter."""
+    """Return the variables with the targets that a scene has, without the parameter `lacks`."""
 
     def has(text: str) -> bool:
         try:
@@ -114,7 +114,7 @@ def known_design(
 
 
 def model_kinds(scene: Scene, alternatives: Mapping[str, Scene]) -> Iterator[Kind]:
-    """Yield simpler models of a scene, then the models of the user, last the scene as declared."""
+    """Yield simpler models of a scene, then the models of the user, last the declared scene."""
     soft = [beam for beam in scene.beams if not beam.rigid]
     if soft:
         yield Kind("rigid", partial(_exchanged, scene, soft, _rigid))

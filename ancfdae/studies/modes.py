@@ -1,4 +1,4 @@
-"""Natural frequencies and shapes, a step that follows them, and a Campbell diagram."""
+"""Natural frequencies and shapes, a step that resolves them, and a Campbell diagram."""
 
 from __future__ import annotations
 
@@ -73,34 +73,35 @@ def modes(
     highest: bool = False,
     method: DirectDifferentiation | Adjoint | None = None,
 ) -> Modes:
-    """Return natural frequencies and shapes of small motions about a configuration at rest.
+    """Return natural frequencies and shapes of small motions about a configuration.
 
-    Joints are kept exactly; those that are driven are held. Lowest first: growing motions (of an
-    unstable equilibrium), rigid ones (s = 0), vibrations by |s|, then motions that only decay, by
-    |s|. With damping vibrations are counted by the argument principle: all below the last one are
-    returned, or NoModes is raised. Undamped modes of large systems are counted by Sylvester's law
-    of inertia. Large damped systems (more than 120 independent motions and
-    3 `count` + 40) are searched for real exponents next to their undamped frequencies only.
+    Joints are satisfied exactly; driven joints are fixed. Modes are ordered with the lowest first:
+    growing motions (of an unstable equilibrium), rigid motions (s = 0), vibrations by |s|, then
+    motions that only decay, by |s|. With damping, vibrations are counted by the argument principle:
+    all below the last one are returned, or NoModes is raised. Undamped modes of large systems are
+    counted by Sylvester's law of inertia. Large damped systems (more than 120 independent motions
+    and 3 `count` + 40) are searched for real exponents near their undamped frequencies only.
 
     Parameters
     ----------
     count : int
-        How many. Modes that coincide to round-off are not separated if that adds eight at most, as
-        of a square bar; of a larger group, as of motions that creep in an overdamped body, those
-        that were asked for are returned, and `Modes.cut` names them.
+        Number of modes. Modes that coincide to round-off, as of a square bar, are not separated if
+        that adds at most eight; a larger group, as of creeping motions in an overdamped body, is
+        cut, and `Modes.cut` names its modes.
     at : Equilibrium or LinearisationPoint, optional
-        Where: what `equilibrium` found, or coordinates and multipliers, for example
+        Configuration: a result of `equilibrium`, or coordinates and multipliers, for example
         ``LinearisationPoint.of(solution, instant)`` of a motion that has come to rest. By default
-        the start of the model, at rest, with the multipliers that hold it best; if forces there are
-        not in balance these are the modes of a motion that is held there, and the result says so.
+        the start of the model at zero velocity, with the multipliers that leave the smallest
+        unbalanced force; if it is not zero, modes are those of the model held there by a constant
+        force, and the result says so.
     design : sequence of str or DesignVariable, optional
         Design variables of a scene to differentiate in; a mechanical system has its own.
     damped : bool, optional
-        Whether velocity forces count; by default if there are any. False leaves out all of them,
-        gyroscopic forces in a `RotatingFrame` included: centrifugal forces alone remain there, and
+        Whether to include velocity forces; by default if there are any. False leaves out all of
+        them, also the gyroscopic forces in a `RotatingFrame`: only centrifugal forces remain, and
         the frequencies are not those of the rotor.
     highest : bool
-        Whether the highest modes are wanted instead of the lowest.
+        Whether to return the highest modes instead of the lowest.
     method : DirectDifferentiation or Adjoint, optional
         How frequencies are differentiated: `DirectDifferentiation` (default) with the shapes,
         `Adjoint` by one transposed solve for each mode, independent of the number of design
@@ -132,11 +133,11 @@ def suggest_step(
     ----------
     model : Scene or MechanicalSystem
     per_period : float
-        Steps in the shortest period that counts; HHT-I3 errs by about (2 pi / per_period)^2 / 8 of
-        a turn in each, / 12 with ``hht_alpha=0``.
+        Steps in the shortest period to be resolved; the phase error of HHT-I3 is about
+        (2 pi / per_period)^2 / 8 of a turn in each period, / 12 with ``hht_alpha=0``.
     follow : int, optional
-        How many motions count, from the slowest; None for all of them. Waves through the sections
-        of stiff beams are thousands of times faster than what one wants to see.
+        Number of vibrations to be resolved, from the slowest; None for all. Waves through
+        the sections of stiff beams are thousands of times faster than the motion of interest.
     at : LinearisationPoint, optional
         As in `modes`.
     """
@@ -151,9 +152,9 @@ At: TypeAlias = LinearisationPoint | Equilibrium | None
 
 
 class DesignedConfiguration(abc.ABC):
-    """A configuration that depends on the design.
+    """Base class of configurations about which modes are taken, with their design derivatives.
 
-    Its saddle-point matrices and the factorised mass, where it has some.
+    Saddle-point matrices and the factorised mass are set if they are known.
     """
 
     matrices: SaddlePoint | None = None
@@ -161,15 +162,15 @@ class DesignedConfiguration(abc.ABC):
 
     @abc.abstractmethod
     def configuration(self, differentiated: bool) -> LinearisationPoint:
-        """Return q and lam, with their design derivatives if asked for."""
+        """Return a static configuration q and lam, if `differentiated` with design derivatives."""
 
     @abc.abstractmethod
     def pull_back(self, on_q: Array, on_lam: Array, on_b: Array) -> Array:
-        """Return q_b^T on_q + lam_b^T on_lam + on_b, shape (n_b,)."""
+        """Return q_b^T on_q + lam_b^T on_lam + on_b of a static configuration, shape (n_b,)."""
 
 
 def place(system: MechanicalSystem, at: At) -> DesignedConfiguration:
-    """Return the configuration that a user means; InvalidInputError for other objects."""
+    """Return the static configuration declared by `at`; InvalidInputError for other objects."""
     if at is None:
         return _Start(system)
     require_kind("at", at, (LinearisationPoint, Equilibrium), "Pass what `equilibrium` returned.")
@@ -178,7 +179,7 @@ def place(system: MechanicalSystem, at: At) -> DesignedConfiguration:
 
 @final
 class _Given(DesignedConfiguration):
-    """A configuration as it is, with the derivatives it brings."""
+    """A given configuration, with the design derivatives that it holds."""
 
     def __init__(self, at: LinearisationPoint) -> None:
         self._at = at
@@ -195,7 +196,7 @@ class _Given(DesignedConfiguration):
 
 @final
 class _Balanced(DesignedConfiguration):
-    """An equilibrium with its derivatives in the design variables of this system."""
+    """An equilibrium, with derivatives in the design variables of this system."""
 
     def __init__(self, system: MechanicalSystem, at: Equilibrium) -> None:
         self._system, self._at = system, at
@@ -229,10 +230,10 @@ class _Balanced(DesignedConfiguration):
 
 @final
 class _Start(DesignedConfiguration):
-    """The start with the multipliers of a motion that sets out from rest, joints held.
+    """The start of a model, with the multipliers of a motion from zero velocity, drivers fixed.
 
-    M a + Phi_q^T lam = Q, Phi_q a = 0: of all multipliers these leave the least unbalanced force
-    M a in the norm of M^-1, and none in an equilibrium.
+    M a + Phi_q^T lam = Q, Phi_q a = 0: of all multipliers these leave the smallest unbalanced force
+    M a in the norm of M^-1, and zero in an equilibrium.
     """
 
     def __init__(self, system: MechanicalSystem) -> None:
@@ -276,35 +277,35 @@ class _Start(DesignedConfiguration):
 # -- Campbell diagram --------------------------------------------------------------------------
 
 
-# Target of the rate, the first of all design variables.
+# Design target of the rate of the frame, the first of all design variables.
 _RATE = "scene.rate"
-# Weight of decay beside distance where a line has two ways to go on.
+# Weight of decay relative to distance in matching modes at neighbouring rates.
 _FALLS = 1e-3
-# Size of whirl, from 0 to 1, from which a motion counts as a circle.
+# Magnitude of whirl, from 0 to 1, above which a motion counts as circular.
 _CIRCLES = 0.5
 
 
 @final
 @dataclass(frozen=True, repr=False)
 class Campbell(PrintedTable):
-    """Modes of a scene at several rates of its frame, each followed over all of them.
+    """Modes of a scene at several rates of its rotating frame, each mode followed over the rates.
 
     Attributes
     ----------
     rates : array, shape (k,)
         Rates of the frame; rad/s.
     exponents : array, shape (k, count), complex
-        s as in `Modes`, as seen in the rotating frame. A mode keeps its column; where it does not
-        vibrate, as between the critical speeds of a shaft that is not round, s is real, that of the
-        motion which decays least or grows.
+        Exponents s as in `Modes`, in the rotating frame. A mode keeps its column; if it does not
+        vibrate, as between the critical speeds of a shaft that is not round, s is the real exponent
+        of the motion which decays least or grows.
     exponents_b : array, shape (k, count, n_b), complex
         Design derivatives of `exponents`, with the change of the equilibrium; 1/s per unit of
         the variable.
     names : tuple of str
         Names of the design variables, ``"scene.rate"`` first.
     whirl : array, shape (k, count)
-        Sense of the motion about the axis in the frame, dimensionless: 1 for circles in the sense
-        of the rate, -1 for circles against it, zero for motion to and fro.
+        Sense of the motion about the axis in the frame, dimensionless: 1 for circular motion in the
+        sense of the rate, -1 for circular motion against it, zero for motion along a line.
     equilibria : tuple of Equilibrium
     """
 
@@ -327,12 +328,13 @@ class Campbell(PrintedTable):
 
     @property
     def whirl_speeds(self) -> Array:
-        """Speeds of circular motions seen at rest, shape (k, count); rad/s.
+        """Angular speeds of circular motions in an inertial frame, shape (k, count); rad/s.
 
-        Positive forward, in the sense of the axis, negative backward. Motions to and fro, |whirl|
-        below 1/2, keep the frequency that they have in the frame, as torsion about the axis and
-        stretch along it do; sideways, as of a shaft that is not alike in all directions, they have
-        two frequencies at rest, which differ from it by the rate.
+        Positive forward, in the sense of the axis, negative backward. For motions along a line,
+        |whirl| below 1/2, the frequency in the rotating frame is returned, as is right for torsion
+        about the axis and stretch along it; a lateral motion along a line, as of a shaft that is
+        not the same in all directions, has two frequencies in an inertial frame, which differ from
+        it by the rate.
         """
         circles = np.abs(self.whirl) >= _CIRCLES
         turned = self.rates[:, None] + np.sign(self.whirl) * self.frequencies
@@ -340,22 +342,22 @@ class Campbell(PrintedTable):
 
     @property
     def critical_speeds(self) -> Array:
-        """Rates at which a mode stands still in the rotating frame, ascending, shape (n,); rad/s.
+        """Rates at which a mode has zero frequency in the rotating frame, ascending, (n,); rad/s.
 
-        A load that turns with the frame, such as an unbalance, then acts at the frequency of the
-        mode. They are found between neighbouring `rates` by cubics through the exponents and their
-        derivatives. A shaft that is not alike in all directions has two for each mode, between
-        which it is unstable.
+        A load that rotates with the frame, such as an unbalance, then acts at the frequency of the
+        mode. The rates are found between neighbouring `rates` by cubics through the exponents and
+        their derivatives. A shaft that is not the same in all directions has two for each mode,
+        between which it is unstable.
         """
         found = [x for k in range(len(self.rates) - 1) for x in self._standing(k)]
         return np.array(sorted(found))
 
     def _standing(self, k: int) -> Iterator[float]:
-        """Return the rates between two neighbouring ones at which an exponent passes zero."""
+        """Yield rotation rates between neighbouring `rates` at which an exponent s crosses zero."""
         circles = np.all(np.abs(self.whirl[k : k + 2]) >= _CIRCLES, axis=0)
         s, s_b = self.exponents[k : k + 2], self.exponents_b[k : k + 2, :, 0]
         sense = np.sign(self.whirl[k : k + 2])
-        # Of circles the frequency changes its sense; of other motions s^2 changes its sign.
+        # For circular motions the frequency changes its sense; for others s^2 changes its sign.
         values = np.where(circles, sense * s.imag, (s * s).real)
         slopes = np.where(circles, sense * s_b.imag, 2 * (s * s_b).real)
         for j in np.flatnonzero(np.sign(values[0]) * np.sign(values[1]) < 0):
@@ -365,13 +367,13 @@ class Campbell(PrintedTable):
             yield from line.roots(extrapolate=False).tolist()
 
     def plot(self, path: str | os.PathLike[str]) -> tuple[Path, ...]:
-        """Draw the Campbell diagram, as `panels`, and save it; return the files written."""
+        """Draw the Campbell diagram of `panels` and save it; return the paths of the files."""
         from ancfdae import plotting
 
         return plotting.save(plotting.draw(self.panels()), path)
 
     def panels(self) -> list[Panel]:
-        """Return the panel of `plot`: whirl speeds over the rate, and the rate itself."""
+        """Return the panel of `plot`: whirl speeds over the rate of the frame, and the rate."""
         from ancfdae.plotting import Panel, Series
 
         speeds = np.abs(self.whirl_speeds).T
@@ -381,7 +383,7 @@ class Campbell(PrintedTable):
         return [Panel("Campbell diagram", *axes, lines)]
 
     def to_dataframe(self) -> Any:
-        """Return `frequencies` as a table of pandas: a row for each rate, a column a mode."""
+        """Return `frequencies` as a pandas table: a row for each rate, a column for each mode."""
         index = pandas().Index(self.rates, name="rate")
         names = [f"mode {j}" for j in range(self.exponents.shape[1])]
         return pandas().DataFrame(self.frequencies, index=index, columns=names)
@@ -401,22 +403,22 @@ def campbell(
     design: Sequence[str | DesignVariable] = (),
     progress: bool = False,
 ) -> Campbell:
-    """Return the lowest modes about steady rotation at several rates: a Campbell diagram.
+    """Return the lowest modes about steady rotation at several rates (Campbell diagram).
 
-    Every equilibrium is searched from that of the rate before. Modes are followed by their
-    exponents and the derivatives of these in the rate, so that lines cross where they do.
+    Every equilibrium is searched from the equilibrium at the rate before. Modes are followed by
+    their exponents and the derivatives of these in the rate, so that crossings are kept.
 
     Parameters
     ----------
     scene : Scene
-        With a `RotatingFrame`, whose rate is replaced.
+        A scene with a `RotatingFrame`, whose rate is replaced.
     rates : sequence of float
-        Ascending; rad/s. Close enough that a line and its neighbours are nearly straight between.
+        Ascending rates; rad/s. They must be so close that the exponents are nearly linear between.
     count : int
-        How many, the lowest at the first rate; those that coincide there are not separated, so
-        there may be a few more.
+        Number of modes, the lowest at the first rate; modes that coincide there are not separated,
+        so there may be a few more.
     design : sequence of str or DesignVariable
-        What to differentiate in beside the rate.
+        Design variables to differentiate in, besides the rate.
     progress : bool
         Whether to show a progress bar, which counts the rates.
     """
@@ -451,7 +453,7 @@ def campbell(
 @final
 @dataclass(frozen=True)
 class _Lines:
-    """Modes at one rate: s, s_b and sense of whirl."""
+    """Modes at one rate of a rotating frame: exponents s, derivatives s_b, and sense of whirl."""
 
     s: Array
     s_b: Array
@@ -471,8 +473,8 @@ class _Lines:
         whirl = np.real(np.diagonal(along)) / np.where(size == 0, 1.0, size)
         s_b = modes.derivatives.exponents_b
         for group in map(np.array, modes.coincide):
-            # Any combination of modes that coincide is one. Circles are those that part as the
-            # rate grows: the forward one falls in the frame, as no polar inertia is more than the
+            # Any combination of coinciding modes is a mode. Circular motions separate as the rate
+            # grows: the forward frequency falls in the frame, because no polar inertia exceeds the
             # sum of the two others.
             within = np.ix_(group, group)
             circles = _quotients(along[within], sizes[within])
@@ -484,10 +486,10 @@ class _Lines:
         return _Lines(self.s[which], self.s_b[which], self.whirl[which])
 
     def matched(self, following: _Lines, step: float) -> Array:
-        """Return for each mode its place among the following ones.
+        """Return for each mode its index among the modes at the next rate.
 
-        A smooth line has the slopes of both ends half way on either side. It is s^2 that is smooth
-        where a motion ceases to vibrate; of its two real exponents the greater one goes on.
+        A smooth curve has the slopes of both ends at the middle. s^2 is smooth where a motion
+        ceases to vibrate; of its two real exponents the greater one is followed.
         """
         here, there = self._squares(step / 2), following._squares(-step / 2)
         falls = -_FALLS * following.s.real * np.abs(following.s)
@@ -495,14 +497,14 @@ class _Lines:
         return np.asarray(scipy.optimize.linear_sum_assignment(apart)[1])
 
     def _squares(self, step: float) -> Array:
-        """Return s^2 at another rate, to first order."""
+        """Return s^2 of the modes at a rotation rate larger by `step`, to first order."""
         slopes = 2 * self.s * self.s_b[:, 0]
-        # Infinite where two exponents part.
+        # The derivative is infinite where two exponents separate.
         return self.s**2 + step * np.where(np.isfinite(slopes), slopes, 0.0)
 
 
 def _quotients(A: Array, B: Array) -> Array:
-    """Return the eigenvalues of A - w B, ascending, in the space where B is not round-off."""
+    """Return the eigenvalues w of A - w B, ascending, where B is above round-off."""
     squares, V = np.linalg.eigh(B)
     kept = squares > EPS**0.5 * squares[-1]
     V = V[:, kept] / np.sqrt(squares[kept])
@@ -510,7 +512,7 @@ def _quotients(A: Array, B: Array) -> Array:
 
 
 def _lowest(modes: Modes, count: int) -> Array:
-    """Return the places of the lowest ones that do not just decay, without cutting a group."""
+    """Return the indices of the lowest modes that do not only decay, with whole groups."""
     moving = [j for j, kind in enumerate(modes.kinds) if kind is not ModeKind.DECAYING]
     last = moving[:count][-1:]
     groups = [group for group in modes.coincide if last and last[0] in group]

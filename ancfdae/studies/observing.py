@@ -1,4 +1,4 @@
-"""Observables at some instants of a run of any number of steps."""
+"""Observables at some times of a run of any number of steps."""
 
 import os
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ class ObservableRecord(PrintedTable):
     Attributes
     ----------
     t : array, shape (n,)
-        Instants; of a run that ended early those that it reached.
+        Times of the values, up to the time that the run reached; s.
     values : array, shape (n, n_observables)
         Values of the observables at `t`, each in its unit; a view of the file if there is one.
     steps : int
@@ -43,7 +43,7 @@ class ObservableRecord(PrintedTable):
     outcome: RunOutcome
 
     def to_dataframe(self) -> Any:
-        """Return the values as a table of pandas, with t as its index and observables by number."""
+        """Return the values as a pandas table, with t as its index and observables by number."""
         names = [str(k) for k in range(self.values.shape[1])]
         index = pandas().Index(self.t, name="t")
         return pandas().DataFrame(np.asarray(self.values), index=index, columns=names)
@@ -65,7 +65,7 @@ def record_observables(
     file: str | os.PathLike[str] | None = None,
     progress: bool = False,
 ) -> ObservableRecord:
-    """Integrate and keep observables at some instants only, so that memory does not grow.
+    """Integrate a model and store observables at some times only, in bounded memory.
 
     Parameters
     ----------
@@ -73,8 +73,8 @@ def record_observables(
         As in `simulate`.
     observables : sequence of Observable
     file : path, optional
-        Where rows of the instant and the values go as they arrive: an array of NumPy, (n, 1 + k),
-        that ``np.load(file, mmap_mode="r")`` reads; NaN where the run did not get to.
+        File to which rows of time and values are written as they arrive: a NumPy array, (n, 1 + k),
+        that ``np.load(file, mmap_mode="r")`` reads; NaN for times that the run did not reach.
     """
     system = as_system(model)
     repair = "For example position(rod.at_end, 0)."
@@ -101,14 +101,14 @@ def record_observables(
 
 @final
 class _Seen:
-    """An observable along the parts of a run; one that remembers is followed over all steps."""
+    """One observable along the parts of a run; one with memory is evaluated at all steps."""
 
     def __init__(self, observable: Observable, system: MechanicalSystem) -> None:
         self._observable, self._system = observable, system
         self._past: dict[object, float] = {}
 
     def values(self, part: Solution, some: Solution) -> Array:
-        """Return the values of the observables at some of the times of a part of the run."""
+        """Return the observable at the times `some.t` of a part of the run, shape (n,)."""
         if not self._observable.remembers_any:
             there = len(some.t) > 0
             return self._observable.value(self._system, states_of(some)) if there else some.t
@@ -120,9 +120,9 @@ class _Seen:
 
 
 def _on_disk(file: str | os.PathLike[str], shape: tuple[int, int]) -> Array:
-    """Return an array in a new file, filled with NaN."""
+    """Return an array in a new file, memory-mapped and filled with NaN."""
     path = require_path("file", file)
-    # Who reads it meanwhile finds rows of NaN, never of zeros.
+    # A reader in the meantime finds rows of NaN, never zeros.
     with replacing("file", path) as out:
         np.save(out, np.broadcast_to(np.nan, shape))
     rows: Array = np.lib.format.open_memmap(path, mode="r+")

@@ -1,4 +1,4 @@
-"""A component of OpenMDAO, the only place that imports it (``pip install "ancfdae[openmdao]"``)."""
+"""An OpenMDAO component; needs the package openmdao (``pip install "ancfdae[openmdao]"``)."""
 
 from typing import Any, final
 
@@ -19,15 +19,15 @@ except ImportError as error:
 class ResponsesComponent(om.ExplicitComponent):  # type: ignore[misc]  # om has no types.
     """Functions of the design of a mechanism, with their exact derivatives.
 
-    The input ``x`` has the design variables in the order of ``responses.design_names``, over the
-    scale of the responses; outputs have the names of the functions. A design without values raises
-    ``openmdao.api.AnalysisError``, after which drivers that know it step back.
+    The input ``x`` holds the design variables in the order of ``responses.design_names``, divided
+    by the scale of the responses; outputs have the names of the functions. A design without values
+    raises ``openmdao.api.AnalysisError``, after which drivers that support it step back.
 
     Parameters
     ----------
     responses : Responses
-        Option of the component: ``ResponsesComponent(responses=Responses(...))``. Names of its
-        functions must be names of variables in Python.
+        Option of the component: ``ResponsesComponent(responses=Responses(...))``. The names of its
+        functions must be valid variable names in Python.
     """
 
     def initialize(self) -> None:
@@ -35,7 +35,7 @@ class ResponsesComponent(om.ExplicitComponent):  # type: ignore[misc]  # om has 
         self.options.declare("responses", types=Responses, desc="functions of the design")
 
     def setup(self) -> None:
-        """Add the input and the outputs."""
+        """Add the input ``x``, one output per function, and their partial derivatives."""
         responses = self.options["responses"]
         require_kind("responses", responses, (Responses,), "Give responses=Responses(...).")
         self.add_input("x", responses.start)

@@ -1,4 +1,4 @@
-"""Runs of any number of steps, taken part by part; of each part only some instants are kept."""
+"""Runs of any number of steps, integrated part by part; only some times of each are stored."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
@@ -16,17 +16,20 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
 
-# An int k: every k-th step, with the start and the end. A sequence: times at which states are kept.
+# An int k: every k-th step, with the start and the end. A sequence: times whose states are stored.
 Keep: TypeAlias = int | Sequence[float] | Array
 
-# Numbers of a part: small against what a run of a million steps holds.
+# Largest number of entries of a part: small compared with a run of a million steps.
 _NUMBERS = 2_000_000
 _ARRAYS = ("t", "q", "v", "a", "lam")
 
 
 @final
 class RunOfParts:
-    """Yields the parts of a run, and of each the instants to keep; `times` are all of these."""
+    """A run integrated part by part; iteration yields each part and its states to store.
+
+    `times` are the times of all states to store, s.
+    """
 
     def __init__(
         self,
@@ -53,7 +56,10 @@ class RunOfParts:
         self._length = max(1, steps) * self._run.degree
 
     def __iter__(self) -> Iterator[tuple[Solution, Solution]]:
-        """Integrate; the last part may have failed."""
+        """Integrate; yield each part of the run with its states to store.
+
+        The last may have failed.
+        """
         node, last = in_one_thread(self._run.start)(), len(self._run.t) - 1
         with progress_bar(self._progress, total=last, unit="step") as bar:
             for first in range(0, last, self._length):
@@ -74,7 +80,7 @@ class RunOfParts:
                     return
 
     def solution(self) -> Solution:
-        """Integrate, and return what is kept as one solution."""
+        """Integrate all parts of the run, and return the stored states as one solution."""
         kept, ends = list[Solution](), list[Solution]()
         for part, some in self:
             ends.append(replace(part, **_rows(part, slice(-1, None))))
@@ -86,7 +92,7 @@ class RunOfParts:
             each.name: sum(getattr(end.statistics, each.name) for end in ends)
             for each in fields(Statistics)
         }
-        # Without the steps in between nothing can go on from its end.
+        # Without the steps in between the run cannot be continued: no `control`.
         told = Statistics(**counts)
         return replace(ends[-1], **arrays, statistics=told, degree=1, control=())
 

@@ -1,9 +1,9 @@
-"""Attempts after a run has stopped, so that its outcome names a setting that reaches the end.
+"""Trials after a run has stopped, so that its outcome names a setting that reaches the end.
 
-A fixed step may be too long for waves that nothing damps: they grow until no solution of the next
-step belongs to the motion. Shorter steps, and the same step with damping, are tried over the whole
-motion. A step that ended on another branch of the joints is tried shorter, too, and then under
-error control. Only what was tried is named, and nothing replaces the run.
+A fixed step may be too long for undamped elastic waves: they grow until no solution of the next
+step continues the motion. Shorter steps, and the same step with damping, are tried over the whole
+motion. After a step that ended on another branch of the joints shorter steps are tried, too, and
+then error control. Only settings that were tried are named, and no trial replaces the run.
 """
 
 from __future__ import annotations
@@ -26,24 +26,25 @@ from ancfdae.model.scene import Scene
 from ancfdae.numerics.timing import stopwatch
 from ancfdae.sensitivity.method import Run
 
-# Tolerances of runs under error control that are tried.
+# Relative tolerances of error-controlled runs that are tried.
 _RTOL = (1e-3, 1e-5)
-# Time of a step under error control, over that of a fixed one (0.7 ms, 30 us).
+# Processor time of an error-controlled step over a fixed step (0.7 ms, 30 us).
 _DEARER = 25
-# How often the step is halved.
+# Number of halvings of the step that are tried.
 _HALVINGS = 4
-# Steps times coordinates and multipliers of all attempts together: some seconds (4 us and 0.7 us
-# for each coordinate, docs/measurements.md). A message should not take longer than the run.
+# Largest number of steps times coordinates and multipliers of all trials together: some seconds (4
+# us and 0.7 us for each coordinate, docs/measurements.md). A message should not take longer than
+# the run.
 _MOST = 2e6
-# Process time of all attempts, s. A run that follows prescribed motions between its steps costs
-# more than steps and unknowns tell.
+# Largest processor time of all trials, s. Runs that follow prescribed motions between their steps
+# cost more than the numbers of steps and unknowns predict.
 _SECONDS = 5.0
 
 
 def with_remedies(model: Scene | MechanicalSystem, run: Run, solution: Solution) -> Solution:
-    """Return a run; if it stopped at a fixed step, what was tried then is added to its outcome.
+    """Return a run; if it stopped at a fixed step, its outcome names the trials made then.
 
-    Raises Interrupted with the run if Ctrl-C ends an attempt.
+    Raises Interrupted with the run if Ctrl-C ends a trial.
     """
     integrator, outcome = run.integrator, solution.outcome
     if not (isinstance(integrator, SteppedIntegrator) and isinstance(integrator.steps, FixedSteps)):
@@ -57,7 +58,7 @@ def with_remedies(model: Scene | MechanicalSystem, run: Run, solution: Solution)
 
 
 class _Budget:
-    """Attempts to reach the end of a run that stopped, as long as they are cheap."""
+    """Trials to reach the end of a run that stopped, within limits of their cost."""
 
     def __init__(self, run: Run, solution: Solution, integrator: SteppedIntegrator) -> None:
         assert isinstance(integrator.steps, FixedSteps)
@@ -66,7 +67,10 @@ class _Budget:
         self._spent, self._longest = stopwatch(), 0.0
 
     def reaches_end(self, system: MechanicalSystem | None, step: float) -> bool | None:
-        """Whether a run reaches the end, of the same system by default; None if it is too long."""
+        """Return whether a trial with `step` reaches the end; None if it would cost too much.
+
+        `system` is by default the system of the run.
+        """
         system = self._run.system if system is None else system
         self._left -= math.ceil(self._run.t_end / step) * (system.n_q + system.n_lam)
         # A step of half the length reaches twice as far in twice as many steps.
@@ -74,7 +78,7 @@ class _Budget:
         return None if self._left < 0 or late else self._ends(system, FixedSteps(step))
 
     def reaches_end_with(self, rtol: float) -> bool:
-        """Whether a run under error control reaches the end in the steps that are left."""
+        """Return whether an error-controlled run reaches the end in the number of steps left."""
         system = self._run.system
         most = self._left / (system.n_q + system.n_lam) / _DEARER
         return most >= 1 and self._ends(system, AdaptiveSteps(rtol, max_steps=int(most)))
@@ -95,10 +99,10 @@ class _Budget:
 
 
 def _shorter(budget: _Budget) -> Iterator[str]:
-    """Describe which shorter step reached the end, or that none of the steps tried did."""
+    """Yield which shorter step reached the end, or that none of the steps tried did."""
     stopped = list[str]()
     for k in range(1, _HALVINGS + 1):
-        step = float(f"{budget.step / 2**k:.3g}")  # As it is written.
+        step = float(f"{budget.step / 2**k:.3g}")  # Rounded as printed.
         done = budget.reaches_end(None, step)
         if done:
             yield f"{budget.call(step)} was tried then and reached the end."
@@ -111,7 +115,7 @@ def _shorter(budget: _Budget) -> Iterator[str]:
 
 
 def _controlled(budget: _Budget) -> Iterator[str]:
-    """Tell whether steps under error control reach the end: they are short where motions turn."""
+    """Yield an error-controlled setting that reached the end: its steps are short in turns."""
     for rtol in _RTOL:
         if budget.reaches_end_with(rtol):
             yield f"{budget.call(rtol, 'rtol')} was tried and reached the end."
@@ -119,7 +123,7 @@ def _controlled(budget: _Budget) -> Iterator[str]:
 
 
 def _damped(budget: _Budget, model: Scene | MechanicalSystem) -> Iterator[str]:
-    """Tell whether the step reaches the end with a retardation time of one step."""
+    """Yield a retardation time of one step if with it the same step reaches the end."""
     if not isinstance(model, Scene):
         return
     damping_time = float(f"{budget.step:.3g}")
@@ -138,7 +142,7 @@ def _damped(budget: _Budget, model: Scene | MechanicalSystem) -> Iterator[str]:
 
 
 def _with_damping(beam: Any, time: float) -> Any:
-    """Return a beam whose materials have this retardation time at least."""
+    """Return a beam whose materials have at least this retardation time, s."""
     several = not isinstance(beam.material, Material)
     materials = tuple(beam.material) if several else (beam.material,)
     if beam.rigid or all(x.damping_time >= time for x in materials):

@@ -1,14 +1,15 @@
-"""Several functions of a design from one run, as optimisers ask for them: one after the other.
+"""Several functions of a design from one run per design, in the form that optimisers need.
 
-**Designs without values.** A line search may try a design whose run ends early. Infinity would make
-it step back only in some methods (in SciPy 1.17 L-BFGS-B stops and reports success, trust-constr
-gives up). So a function goes on from the last design x_0 that has a value, with d = x - x_0, as
+**Designs without values.** A line search may try a design whose run ends early. Infinite values
+would make only some methods step back (in SciPy 1.17 L-BFGS-B stops and reports success,
+trust-constr gives up). So a function is continued from the last design x_0 with values, with d = x
+- x_0, as
 
     f = f_0 + r,   f_x = 3 r d / |d|^2,   r = |f_x0| |d|,
 
-the slope along d of the parabola through f_0 that falls by r at first: line searches that fit one,
-or a cubic, step back to about a quarter. Constraints go on towards what they forbid. Residuals of
-least squares are infinite, which SciPy's methods for them know.
+the slope along d of the parabola through f_0 that decreases by r at first: line searches that fit a
+parabola, or a cubic, step back to about a quarter. Constraints are continued towards violation.
+Residuals of least squares are infinite, which SciPy's least-squares methods handle.
 
 Each design is computed once.
 """
@@ -61,21 +62,21 @@ if TYPE_CHECKING:
     from ancfdae.events.calls import EventRun
     from ancfdae.events.kinds import Event, Mode
 
-# What values come from at a design: a run, modes.
+# Type of the result from which the values at a design come: a run, modes.
 R = TypeVar("R")
-# A run at a design, and what it computed.
+# A run at a design, and its solution.
 _Ran: TypeAlias = "tuple[Run | EventRun, Solution | EventSolution]"
-# Takes the design values, whether derivatives are wanted, and the result there if it is kept.
+# Function of design values, of whether derivatives are wanted, and of a cached result, if any.
 Compute: TypeAlias = Callable[[Array, bool, R | None], tuple[Array, Array | None, R]]
 
 
 @final
 @dataclass(frozen=True)
 class Evaluation:
-    """Result at one design: values and, if they were asked for, derivatives in x.
+    """Result at one design x: values, shape (m,), and, if requested, derivatives in x.
 
-    A design that has none has the error, and the last x before that had values; its values are
-    infinite, its derivatives NaN.
+    If the design has no values, `error` says why, `near` is the last x before with values; the
+    values are infinite and the derivatives NaN.
     """
 
     x: Array
@@ -87,10 +88,10 @@ class Evaluation:
 
 @final
 class Evaluations(Generic[R]):
-    """Results at designs x = b / scale, with the runs of the last `kept` of them.
+    """Cache of results at designs x = b / scale, with the runs of the last `kept` designs.
 
-    The first design must have values, and with `strict` every one; of a later one without values
-    the user is warned. `rows` are the designs in their order, with values or errors.
+    The first design must have values, with `strict` every design; otherwise a design without values
+    raises a warning. `rows` are the designs in order, with values or errors.
     """
 
     def __init__(
@@ -113,7 +114,7 @@ class Evaluations(Generic[R]):
         self.rows: list[SweepRow] = []
 
     def at(self, x: Array, *, derivatives: bool = True) -> Evaluation:
-        """Return the result at x; without `derivatives` perhaps its values only."""
+        """Return the result (run or modes) at x; without `derivatives` possibly values only."""
         x = require_array("design values", x, (len(self._names),))
         known = self._known.get(x.tobytes())
         if known is None or (derivatives and known.jacobian is None):
@@ -121,7 +122,7 @@ class Evaluations(Generic[R]):
         return known
 
     def result(self, x: Array) -> R:
-        """Return the run behind the values at x; raise the error of a design without a result."""
+        """Return the result (run or modes) at x; raise the error of a design without one."""
         known = self.at(x, derivatives=False)
         if known.error is not None:
             raise known.error
@@ -158,8 +159,8 @@ class Evaluations(Generic[R]):
         return evaluation
 
 
-# Runs that are kept: optimisers go back to the design before the last one where a step was too
-# long. Values are all kept: COBYQA asks for those of old designs again and again.
+# Number of cached runs: optimisers return to the design before the last one if a step was too long.
+# All values are cached: COBYQA evaluates old designs repeatedly.
 _KEPT = 4
 
 
@@ -168,17 +169,17 @@ class Responses:
     """Objective and constraints as functions of the design, with one run for each design.
 
     ``r["mass"]`` is a function for SciPy's optimisers, ``r["mass"].gradient`` its gradient,
-    ``r.constraint("miss", upper=1.0)`` a `NonlinearConstraint`, and `values` and `jacobian` are
-    those of all functions, for `least_squares`. The first evaluation runs the design; further ones
-    use its results. Values alone cost the run alone, so that searches without derivatives pay
-    for none: `HHT` differentiates the run when a gradient is asked for; other integrators, and
-    `Adjoint(memory)`, which take both at once, do so in every run after the first such question.
+    ``r.constraint("miss", upper=1.0)`` a `NonlinearConstraint`; `values` and `jacobian` return all
+    functions at once, for `least_squares`. The first evaluation runs the design; further ones use
+    its results. Values alone cost only the run: `HHT` differentiates the run when a gradient is
+    first requested; other integrators, and `Adjoint(memory)`, which compute both at once, do so in
+    every run after the first such request.
 
     Parameters
     ----------
     model : Scene or MechanicalSystem
     functions : mapping of str to Objective
-        By names of your own.
+        Functions of the design by name.
     t_end : float
         End time; s.
     integrator : Integrator
@@ -190,14 +191,14 @@ class Responses:
     modes : mapping of str to Mode, optional
         Events of every run, and the models that it continues with, as in `simulate`.
     scale : float or array, shape (n_b,)
-        Functions take x = b / scale, relative design values. Optimisers require variables of
-        similar size: the values at the start are a good scale.
+        Functions take x = b / scale (dimensionless). Optimisers need variables of similar size: the
+        values at the start are a good scale.
     strict : bool
-        Whether a design without values, whose run ends early or which cannot be assembled,
-        raises its error. By default a later one than the first is warned about
-        (`FailedDesignWarning`) and made unattractive, so that the optimiser steps back: functions
-        rise towards it, constraints turn to what they forbid, `values` are infinite. Ask for
-        `solution` at the optimum, which raises the error if there is none.
+        Whether a design without values, whose run ends early or which cannot be assembled, raises
+        its error. By default only the first design does; a later one gives a `FailedDesignWarning`
+        and is made unattractive, so that the optimiser steps back: functions increase towards it,
+        constraints are violated, `values` are infinite. Call `solution` at the optimum, which
+        raises the error of a design without one.
     progress : bool
         Whether to show a progress bar, which counts the designs that were run.
 
@@ -257,7 +258,8 @@ class Responses:
                 self._limits = np.append(lower, 0.0), np.append(upper, np.inf)
         self._method = method
         self._functions, self._scale = dict(functions), _scale(scale, n_b)
-        # Whether a run that is there can be differentiated: then values go without derivatives.
+        # Whether a finished run can be differentiated: then values are computed without
+        # derivatives.
         self._asked = False
         self._resumes = method.takes_runs and integrator.differentiates_runs
         self._resumes = self._resumes and isinstance(self._run, Run)
@@ -274,17 +276,17 @@ class Responses:
 
     @property
     def start(self) -> Array:
-        """The model as it stands, in x, shape (n_b,)."""
+        """Design values of the model over their scale, x, shape (n_b,)."""
         return np.asarray(self._start / self._scale, dtype=float)
 
     @property
     def bounds(self) -> scipy.optimize.Bounds:
-        """Bounds of the design variables, in x; infinite where there are none."""
+        """Bounds of the design variables over their scale, in x; infinite if undeclared."""
         return scipy.optimize.Bounds(*(limit / self._scale for limit in self._limits))
 
     @property
     def history(self) -> Sweep:
-        """Every design that was run, in that order, with its values by name or its error."""
+        """Every design that was run, in order, with its values by name or its error."""
         rows = [
             replace(row, result=dict(zip(self.names, row.result.tolist(), strict=True)))
             if row.finished
@@ -294,7 +296,7 @@ class Responses:
         return Sweep(tuple(rows))
 
     def __getitem__(self, name: str) -> Response:
-        """Return one of the functions."""
+        """Return the function of this name; UnknownNameError if it is missing."""
         require_text("function of the design", name)
         if name not in self.names:
             raise UnknownNameError("function of the design", name, self.names)
@@ -315,32 +317,32 @@ class Responses:
         return scipy.optimize.NonlinearConstraint(fun, lower, upper, jac=fun.gradient)
 
     def values(self, x: Array) -> Array:
-        """Return the values of all functions, shape (m,); infinite where the design has none."""
+        """Return the values of all functions at x, shape (m,); infinite if the design has none."""
         return self.at(x, derivatives=False).values.copy()
 
     def jacobian(self, x: Array) -> Array:
-        """Return their derivatives in x, shape (m, n_b); NaN where the design has no values."""
+        """Return the responses' derivatives in x, shape (m, n_b); NaN without values."""
         matrix = self.at(x).jacobian
         assert matrix is not None  # asked for
         return matrix.copy()
 
     def solution(self, x: Array) -> Solution | EventSolution:
-        """Return the run at x; raises the error of a design that has none."""
+        """Return the run at x; raise the error of a design that has none."""
         return self._designs.result(x)[1]
 
     def __repr__(self) -> str:
-        """Return the functions and what was run."""
+        """Return the names of the functions and the designs that were run, as text."""
         lines = f"Responses: {', '.join(self.names)}; {len(self._designs.rows)} designs run"
         return f"{lines}\n{self.history}" if self._designs.rows else lines
 
     def at(self, x: Array, *, derivatives: bool = True) -> Evaluation:
-        """Return the result at the design x; without `derivatives` perhaps its values only."""
+        """Return the evaluation of a design x; without `derivatives` possibly values only."""
         return self._designs.at(x, derivatives=derivatives)
 
     def _computed(
         self, b: Array, derivatives: bool, ran: _Ran | None
     ) -> tuple[Array, Array | None, _Ran]:
-        """Return values and derivatives at a design, by a new run or by the given one."""
+        """Return values, derivatives or None, and run at a design; a given run is reused."""
         self._asked = self._asked or derivatives
         run, solution = ran or (self._run.at(b), None)
         functions = list(self._functions.values())
@@ -359,7 +361,7 @@ class Responses:
     def _with_events(
         self, run: EventRun, functions: list[Objective], derivatives: bool
     ) -> tuple[Array, Array | None, _Ran]:
-        """Return values and derivatives at a design by a run with events."""
+        """Return values, derivatives or None, and run at a design, by a run with events."""
         from ancfdae.studies import events
 
         if not derivatives and not self._asked:
@@ -377,7 +379,7 @@ class Responses:
 class Response:
     """One function of the design: a call returns its value, `gradient` its gradient.
 
-    The sign is that of its change towards a design that has no value.
+    `sign` is the sign of its change towards a design without values.
     """
 
     responses: Responses
@@ -385,14 +387,14 @@ class Response:
     sign: float = 1.0
 
     def __call__(self, x: Array) -> float:
-        """Return the value at x; of derivatives nothing is computed."""
+        """Return the value of the function at x, without computing derivatives."""
         evaluation = self.responses.at(x, derivatives=False)
         if evaluation.error is not None:
             return self._beyond(evaluation)[0]
         return float(evaluation.values[self.index])
 
     def gradient(self, x: Array) -> Array:
-        """Return the gradient in x, shape (n_b,)."""
+        """Return the gradient of the function in x, shape (n_b,)."""
         evaluation = self.responses.at(x)
         if evaluation.error is not None:
             return self._beyond(evaluation)[1]
@@ -400,7 +402,7 @@ class Response:
         return np.array(evaluation.jacobian[self.index])
 
     def _beyond(self, evaluation: Evaluation) -> tuple[float, Array]:
-        """Return substitutes for value and gradient of a design without a result."""
+        """Return substitute value and gradient at a design without a result."""
         assert evaluation.near is not None  # of every design with an error
         near, k = self.responses.at(evaluation.near), self.index
         if near.error is not None:
@@ -412,7 +414,7 @@ class Response:
 
 
 def _scale(scale: object, n_b: int) -> Array:
-    """Return the scales of all design variables, shape (n_b,)."""
+    """Return the scales of all design variables, (n_b,); InvalidInputError unless positive."""
     given = require_array("scale", scale)
     if given.shape not in ((), (n_b,)) or not np.all(given > 0):
         rule = f"must be positive, one number or one for each of {n_b} design variables"

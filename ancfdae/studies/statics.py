@@ -1,4 +1,4 @@
-"""Static calls: an equilibrium, and the gradient of observables at it."""
+"""Static calls: equilibrium, its gradients, and critical loads."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,37 +40,38 @@ def equilibrium(
     start: Equilibrium | None = None,
     max_steps: int = MAX_STEPS,
 ) -> Equilibrium:
-    """Find the state of rest under all loads at t = 0, and its design derivatives.
+    """Return the static equilibrium under all loads at t = 0, and its design derivatives.
 
-    The search follows the path of equilibria from the start of the model while the load grows; a
-    mechanism that only its weight holds settles under the full load (docs/theory/11-statics.md).
+    The search follows the path of equilibria from the start of the model while the load increases;
+    a mechanism with no stiffness but gravity is solved under the full load by pseudo-transient
+    continuation (docs/theory/11-statics.md).
 
     Parameters
     ----------
     model : Scene or MechanicalSystem
     design : sequence of str or DesignVariable, optional
-        For a scene: what to differentiate in; `q_b` and `lam_b` of the result. A mechanical
-        system has its own design variables.
+        For a scene: design variables in which `q_b` and `lam_b` of the result are taken. A
+        mechanical system has its own design variables.
     start : Equilibrium, optional
-        Of the same model under other loads or at another design: the search starts from there.
+        Equilibrium of the same model under other loads or at another design from which to start.
     max_steps : int
-        Attempted steps of the load.
+        Largest number of attempted load steps.
 
     Returns
     -------
     Equilibrium
-        A load that cannot be carried is reported by `outcome`, and what was carried is kept. Warns
-        of beams whose elements are too few for their bends (`CoarseMeshWarning`), or that are
-        strained beyond what their elements are made for (`LargeStrainWarning`).
+        If there is no equilibrium under the full load, `outcome` says so, and the last equilibrium
+        is returned. Warns of beams with too few elements for their curvature (`CoarseMeshWarning`),
+        or strained beyond the validity of their elements (`LargeStrainWarning`).
 
     Raises
     ------
     FreeMotionError
-        If nothing holds a motion; the message names it.
+        If a motion has no stiffness; the message names it.
     InvalidInputError
-        If the input makes no sense, or a joint drives a motion at t = 0 (a law with a rate there).
+        If an argument is invalid, or a driven joint has a nonzero rate at t = 0.
     Interrupted
-        At Ctrl-C; its `result` is what was found up to there.
+        At Ctrl-C; its `result` is the last equilibrium found.
     """
     require_count("max_steps", max_steps, _STEPS)
     system = as_system(model, design)
@@ -93,28 +94,28 @@ def critical_load(
     design: Sequence[str | DesignVariable] | None = None,
     progress: bool = False,
 ) -> CriticalLoad:
-    """Find the value of a load, or of another parameter, at which stability is lost.
+    """Return the value of a load, or of another parameter, at which stability is lost.
 
-    From the value that it has in the model to another, equilibria are followed until one meets a
-    motion without stiffness: a limit point, as of an arch that snaps through, or a bifurcation, as
-    of a column that buckles (docs/theory/11-statics.md). The parameter may be any design target: a
-    force, a pressure, the place of a drive, an initial strain, a rate of rotation.
+    Equilibria are followed from the value in the model to `to`, until one has a motion without
+    stiffness: a limit point, as of an arch that snaps through, or a bifurcation, as of a column
+    that buckles (docs/theory/11-statics.md). The parameter may be any design target: a force, a
+    pressure, the position of a driver, an initial strain, a rate of rotation.
 
     Parameters
     ----------
     model : Scene or MechanicalSystem
-        In stable equilibrium at the value that the parameter has in it.
+        A model in stable equilibrium at its value of the parameter.
     parameter : str or DesignVariable
-        A design target such as ``"load.force_y"``, or a variable that drives several; of a
+        A design target such as ``"load.force_y"``, or a variable that drives several targets; for a
         mechanical system one of its `design_names`.
     to : float
         Value of the parameter at which the search ends, in its unit; above or below its value in
         the model.
     design : sequence of str or DesignVariable, optional
-        As in `equilibrium`: what to differentiate the critical value in. A mechanical system is
-        differentiated in its other design variables.
+        Design variables of the gradient of the critical value, as in `equilibrium`. A mechanical
+        system is differentiated in its other design variables.
     progress : bool
-        Whether to show a progress bar: the part of the way to `to` that is followed.
+        Whether to show a progress bar: the fraction of the way to `to`.
 
     Returns
     -------
@@ -126,8 +127,8 @@ def critical_load(
         If every equilibrium up to `to` is stable.
     InvalidInputError
         If the model is not in stable equilibrium, two motions lose their stiffness at once, or a
-        design variable parts the paths of a bifurcation: the load then falls with a root of it and
-        has no derivative.
+        design variable separates the branches of a bifurcation (an imperfection): the load then
+        falls with a root of it and has no derivative.
     Interrupted
         At Ctrl-C; its `result` is the last equilibrium.
     """
@@ -139,17 +140,17 @@ def critical_load(
 @final
 @dataclass(frozen=True, eq=False)
 class CriticalValue(Objective):
-    """The value that `critical_load` finds, as an objective or a constraint beside those of a run.
+    """The value found by `critical_load`, as an objective together with objectives of a run.
 
-    Its model is at rest and may be another one than that of the run, with other loads; both have
-    the design variables of the same name in common, and the run has all of them. A complex step
-    takes the same gradient.
+    Its model is in equilibrium and may differ from the model of the run, with other loads. Design
+    variables of the same name are shared; the run must have all variables of the model.
+    `ComplexStep` uses the same gradient.
 
     Parameters
     ----------
     model, parameter, to, design
-        As in `critical_load`. `to` should be beyond the critical values of all designs: one that
-        is stable up to there has no value.
+        As in `critical_load`. `to` should be beyond the critical values of all designs: a design
+        that is stable up to `to` has no value.
     """
 
     model: Scene | MechanicalSystem
@@ -169,7 +170,7 @@ class CriticalValue(Objective):
 
     @cached_property
     def system(self) -> MechanicalSystem:
-        """The system that is searched; the parameter is one of its design variables."""
+        """System whose equilibria are followed; the parameter is a design variable of it."""
         if not isinstance(self.model, Scene):
             return as_system(self.model, self.design)
         others = require_sequence("design", () if self.design is None else self.design)
@@ -177,11 +178,11 @@ class CriticalValue(Objective):
 
     @property
     def index(self) -> int:
-        """Index of the parameter among the design variables."""
+        """Index of the load parameter among the design variables of `system`."""
         return self.system.design_names.index(self._name)
 
     def check(self, system: MechanicalSystem, t_end: float) -> None:
-        """Refuse a run that lacks a design variable."""
+        """Raise UnknownNameError if the run lacks a design variable of the model."""
         for name in self.system.design_names:
             if name not in (self._name, *system.design_names):
                 raise UnknownNameError("design of CriticalValue", name, system.design_names)
@@ -189,14 +190,14 @@ class CriticalValue(Objective):
     def value(
         self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
     ) -> float | complex:
-        """Search at the design values of the run."""
+        """Return the critical value of the load parameter at the design values of the run."""
         value, slopes = self._at(system)
         return value + 1j * float(slopes @ system.b.imag) if np.iscomplexobj(system.b) else value
 
     def partials(
         self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
     ) -> ObjectivePartials:
-        """Return value and gradient; the states do not matter."""
+        """Return the critical value and its design gradient; states of the run have no effect."""
         value, slopes = self._at(system)
         return ObjectivePartials(value, None, None, None, slopes)
 
@@ -213,7 +214,7 @@ class CriticalValue(Objective):
 
 @lru_cache(maxsize=4)
 def _critical(sought: CriticalValue, b: tuple[float, ...]) -> CriticalLoad:
-    """Search once for value and partials, and for all directions of a complex step."""
+    """Return the critical load at design values b; cached for value, partials and directions."""
     return find_critical(sought.system.with_values(np.array(b)), sought.index, float(sought.to))
 
 
@@ -237,7 +238,7 @@ def equilibrium_gradient(
     method: GradientMethod | None = None,
     max_steps: int = MAX_STEPS,
 ) -> Gradient:
-    """Return an observable at the equilibrium, and its design gradient.
+    """Return the value of an observable in static equilibrium, and its design gradient.
 
     Parameters
     ----------
@@ -250,14 +251,14 @@ def equilibrium_gradient(
         `DirectDifferentiation`, `Adjoint`, `FiniteDifference` or `ComplexStep`; by default
         whichever of the first two costs less, see `cheapest`.
     max_steps : int
-        Attempted steps of the load.
+        Largest number of attempted load steps.
 
     Raises
     ------
     FreeMotionError
-        If nothing holds a motion.
+        If a motion has no stiffness.
     UnfinishedRunError
-        If there is no equilibrium under the full load; the error states why and keeps the rest.
+        If there is no equilibrium under the full load; the error says why and has the last one.
     """
     require_count("max_steps", max_steps, _STEPS)
     system = differentiable(model, design)

@@ -1,4 +1,4 @@
-"""The call: one function at many designs, here or in the workers of an executor."""
+"""The call `sweep`: one function at many designs, in this process or in workers."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ Design = Mapping[str | DesignVariable, float]
 @final
 @dataclass(frozen=True)
 class Evaluator:
-    """Calculation of `sweep` at a design: an objective, its gradient, or an observable.
+    """Function of a model for `sweep`: the value of an objective, its gradient, or an observable.
 
     Parameters
     ----------
@@ -58,14 +58,14 @@ class Evaluator:
         End time; s.
     integrator : Integrator
     gradient : bool
-        Whether the gradient of an objective is wanted too.
+        Whether to compute the gradient of an objective, too.
     design : sequence of str or DesignVariable, optional
-        What the gradient is taken in, as in `gradient`.
+        Design variables of the gradient, as in `gradient`.
     method : GradientMethod, optional
         As in `gradient`.
     events : sequence of Event, optional
     modes : mapping of str to Mode, optional
-        As in `simulate`; modes move with the design as the model does.
+        As in `simulate`; the models of modes take the values of a design as the model does.
     """
 
     of: Objective | Observable
@@ -87,7 +87,7 @@ class Evaluator:
             as_design(self.design)
 
     def __call__(self, model: Scene | MechanicalSystem) -> dict[str, Any]:
-        """Run the model; return ``value``, and ``gradient`` or instants ``t`` of an observable."""
+        """Run the model; return ``value``, with ``gradient``, or times ``t`` of an observable."""
         if self.gradient:
             assert isinstance(self.of, Objective)
             settings = {
@@ -110,7 +110,7 @@ class Evaluator:
         return {"value": self.of.value(system, states_of(solution), totals)}
 
     def _with_events(self, system: MechanicalSystem) -> dict[str, Any]:
-        """Run a system with events; return ``value``, and times ``t`` of an observable."""
+        """Run a system with events; return ``value``, with times ``t`` for an observable."""
         from ancfdae.events.calls import EventRun
         from ancfdae.studies.events import observed, values
 
@@ -123,7 +123,7 @@ class Evaluator:
         return {"value": float(values(run, [self.of])[1][0])}
 
     def at(self, design: Design) -> Evaluator:
-        """Return the same calculation with modes at the values of a design."""
+        """Return the same function with the models of its modes at the values of a design."""
         moved = {
             name: replace(mode, model=_model_at(mode.model, design))
             for name, mode in (self.modes or {}).items()
@@ -142,26 +142,27 @@ def sweep(
     file: str | os.PathLike[str] | None = None,
     progress: bool = False,
 ) -> Sweep:
-    """Compute something at many designs; one that fails is a row with its error.
+    """Return the results of a function at many designs; a failed design is a row with its error.
 
     Parameters
     ----------
     designs : sequence of mappings, or array, shape (n, n_b)
-        Values by target or `DesignVariable`, as `Scene.with_values` takes them, of a system by the
-        names of its design variables; or a row of values per design, of the variables `design`.
+        Values by target or `DesignVariable`, as `Scene.with_values` takes them, for a system by the
+        names of its design variables; or a row of values per design, for the variables `design`.
     what : callable
-        Called with the model at the values; `Evaluator` or a function of your own.
+        Function of the model at the values of a design; `Evaluator` or a user-defined function.
     design : sequence of str or DesignVariable, optional
-        What the columns of rows of values are; of a system all its design variables by default.
+        Variables of the columns of `designs`; for a system by default all its design variables.
     executor : concurrent.futures.Executor, optional
-        Where the calls take place, ``ProcessPoolExecutor(2)`` or ``client.get_executor()`` of Dask,
-        say; by default in this process, one after the other. Model and `what` must pickle.
+        Executor of the calls, for example ``ProcessPoolExecutor(2)`` or ``client.get_executor()``
+        of Dask; by default they run in this process, one after the other. Model and `what` must
+        pickle.
     chunk : int
-        Designs that go to a worker together, more than one where calls are short: sending costs
+        Number of designs sent to a worker together, more than one for short calls: sending costs
         0.2 ms by processes, 4 ms by Dask. A chunk arrives, or is lost, as a whole.
     file : path, optional
-        Rows are appended to it as they arrive, one JSON object a line, and those that are already
-        there are not computed again. Results are then numbers, texts, arrays, lists and mappings.
+        File to which rows are appended as they arrive, one JSON object a line; rows that it already
+        holds are not computed again. Results must be numbers, texts, arrays, lists or mappings.
     progress : bool
         Whether to show a progress bar.
     """
@@ -175,7 +176,7 @@ def sweep(
     tasks = {k: _Task(study, x, values[k]) for k, x in enumerate(given) if k not in rows}
     parts = {"model": model, "what": what}
     arriving = answers(_row, tasks, executor, parts, progress=progress, done=len(rows), chunk=chunk)
-    # Runs in this process limit libraries of linear algebra once, not one after the other.
+    # In this process the threads of linear algebra are limited once, not for each run.
     here = executor is None and isinstance(what, Evaluator)
     collect = in_one_thread(_collect) if here else _collect
     interrupted = collect(arriving, rows, values, kept)
@@ -204,7 +205,7 @@ def _collect(
     values: list[dict[str, float]],
     kept: SweepFile | None,
 ) -> bool:
-    """Take rows as they arrive, and keep them in the file; return whether Ctrl-C came before."""
+    """Store a sweep's rows as they arrive, also in the file; return whether Ctrl-C interrupted."""
     with closing(arriving):
         try:
             for k, answer in arriving:
@@ -220,10 +221,10 @@ def _collect(
 @final
 @dataclass(frozen=True)
 class _Study:
-    """A model and the computation on it, the same for all designs of a sweep.
+    """A model and the function computed on it, the same for all designs of a sweep.
 
-    A scene that `Evaluator` runs is assembled once in every process; its designs are numbers of
-    this one structure. Copies in other processes have the same number.
+    A scene that `Evaluator` runs is assembled once in every process; its designs are values of this
+    one system. Copies in other processes have the same `number`.
     """
 
     model: Scene | MechanicalSystem = field(compare=False)
@@ -231,14 +232,14 @@ class _Study:
     number: uuid.UUID = field(default_factory=uuid.uuid4)
 
     def result(self, design: Design) -> Any:
-        """Compute at the values of a design."""
+        """Return the sweep's function of the model at the values of a design."""
         if isinstance(self.what, Evaluator) and self.what.modes is not None:
             return self.what.at(design)(_model_at(self.model, design))
         if isinstance(self.model, MechanicalSystem):
             return self.what(_moved(self.model, design))
         system = _assembled(self, tuple(design))
         if system is not None and isinstance(self.what, Evaluator):
-            # An error is raised again by the scene at the values, in the words that a user wrote.
+            # An error is raised again by the scene at the values, naming the user's targets.
             what = self.what if self.what.design is None else replace(self.what, design=None)
             with suppress(Exception):
                 return what(_moved(system, design))
@@ -247,7 +248,7 @@ class _Study:
 
 @lru_cache(maxsize=4)
 def _assembled(study: _Study, keys: tuple[str | DesignVariable, ...]) -> MechanicalSystem | None:
-    """Return the scene with the variables of a design; None if runs would see their number."""
+    """Return the scene assembled with a design's variables, or None if that would affect runs."""
     what, scene = study.what, study.model
     if not (isinstance(what, Evaluator) and isinstance(scene, Scene)):
         return None
@@ -271,7 +272,7 @@ def _assembled(study: _Study, keys: tuple[str | DesignVariable, ...]) -> Mechani
 @final
 @dataclass(frozen=True)
 class _Task:
-    """One design, and its values by name."""
+    """One design of a sweep, and its values by name."""
 
     study: _Study
     design: Design
@@ -279,7 +280,7 @@ class _Task:
 
 
 def _row(task: _Task) -> SweepRow:
-    """Compute a row; whatever goes wrong is its error."""
+    """Return the sweep's row for a design; an exception of any kind becomes its error."""
     try:
         return SweepRow(task.values, task.study.result(task.design))
     except Exception as error:  # noqa: BLE001  # `what` is the user's and may raise anything.
@@ -292,7 +293,7 @@ def _model_at(model: Scene | MechanicalSystem, design: Design) -> Scene | Mechan
 
 
 def _moved(model: MechanicalSystem, design: Design) -> MechanicalSystem:
-    """Return the system at the values of a design."""
+    """Return the system at the values of a design; UnknownNameError for unknown variables."""
     b = dict(zip(model.design_names, model.b.tolist(), strict=True))
     named = {_name(key): value for key, value in design.items()}
     for name in named:
@@ -310,7 +311,7 @@ def _mappings(
     designs: Sequence[Design] | Array,
     variables: Sequence[str | DesignVariable] | None,
 ) -> list[Design]:
-    """Return every design as a mapping."""
+    """Return every design of a sweep as a mapping of variables to values."""
     rows = require_sequence("designs", designs)
     if all(isinstance(row, Mapping) for row in rows):
         if variables is not None:
@@ -327,7 +328,7 @@ def _mappings(
 
 
 def _values(k: int, row: object, count: int) -> tuple[float, ...]:
-    """Return one row of values; whether the model can take them shows in the row."""
+    """Return one row of design values, checked for its length only."""
     rule, repair = f"must have {count} values", "Give rows throughout, or mappings throughout."
     values = require_sequence(f"designs[{k}]", row, rule, repair)
     if isinstance(row, Mapping) or len(values) != count:

@@ -1,12 +1,12 @@
 """Rows of a sweep, and their file: one JSON object a line, appended as they arrive.
 
-The file is read to resume. The first line has the digest of the model and of the function that the
-rows belong to, every other line is a row. A line that was cut off by a crash is dropped.
+The file is read to resume a sweep. Its first line has the digests of the model and of the function
+that the rows belong to, every other line is a row. A line that was cut off by a crash is dropped.
 
-Digests of models and functions are the same in every process. A function is its code, its defaults,
-what it closes over and the globals that it reads; an object is its class and its attributes, a
-class of a user's its code. Packages that are imported are known by name, so that what changes
-within them is not seen; neither are comments and places in a file.
+Digests of models and functions are the same in every process. A function is described by its code,
+its defaults, its closure and the globals that it reads; an object by its class and its attributes,
+a user's class by its code. Imported packages are described by name, so that changes within them are
+not detected; neither are changes of comments and line numbers.
 """
 
 import dataclasses
@@ -33,30 +33,33 @@ from ancfdae.sensitivity.method import Gradient
 
 _PLAIN = (str, int, float, complex, bytes, np.generic, type(None), type(...))
 
-# What is known by name, wherever it is met.
+# Packages whose functions and classes are described by name only.
 _LIBRARIES = frozenset({"ancfdae", "numpy", "scipy"}) | sys.stdlib_module_names - {"__main__"}
 
 
 def digest(where: str, value: object) -> str:
-    """Return the SHA-256 digest of a value; refuse unreadable contents, as of a lock."""
+    """Return the SHA-256 digest of a value; InvalidInputError if it cannot be described.
+
+    A lock, for example, cannot.
+    """
     told = hashlib.sha256()
     for part in _Description(where).of(value):
-        # Lengths, so that ("ab", "c") is not ("a", "bc").
+        # With lengths, so that ("ab", "c") differs from ("a", "bc").
         told.update(len(part).to_bytes(8, "big") + part)
     return told.hexdigest()
 
 
 @final
 class _Description:
-    """Describes values one after the other; a repeated value is named by its number."""
+    """Description of values as bytes; a repeated value is named by its number."""
 
     def __init__(self, where: str) -> None:
         self._where = where
         self._numbers: dict[int, int] = {}
-        self._alive: list[object] = []  # or a number would be that of another object
+        self._alive: list[object] = []  # so that no id is reused for another object
 
     def of(self, value: Any) -> Iterator[bytes]:
-        """Yield what a value is, piece by piece."""
+        """Yield the description of a value, piece by piece."""
         if isinstance(value, _PLAIN):
             yield repr(value).encode()
         elif id(value) in self._numbers:
@@ -118,7 +121,7 @@ class _Description:
                 yield from self._global(name, value.__globals__[name], _package(value))
 
     def _global(self, name: str, value: object, package: str) -> Iterator[bytes]:
-        """Yield a global; a function or class of another package by its name."""
+        """Yield the description of a global; functions and classes of other packages by name."""
         yield name.encode()
         if isinstance(value, FunctionType | type) and _package(value) != package:
             yield f"{value.__module__}.{value.__qualname__}".encode()
@@ -131,12 +134,12 @@ class _Description:
             return
         yield from self._each(*kind.__bases__)
         for name, held in vars(kind).items():
-            # What Python keeps in a class beside what the user wrote differs between processes.
+            # Attributes that Python adds to a class differ between processes.
             if not name.startswith("_") or isinstance(held, FunctionType):
                 yield from self._global(name, held, _package(kind))
 
     def _object(self, value: Any) -> Iterator[bytes]:
-        """Yield class and attributes, without those that are computed when asked for."""
+        """Yield class and attributes of an object, without cached properties."""
         kind = type(value)
         try:
             held = vars(value)
@@ -185,9 +188,9 @@ class SweepRow:
     values : mapping of str to float
         Values by name of the design variable or target.
     result : object
-        What was computed; None if it failed.
+        Result of the function; None if it failed.
     error : str
-        Why there is no result; empty if there is one.
+        Reason why there is no result; empty if there is one.
     """
 
     values: Mapping[str, float]
@@ -208,25 +211,25 @@ class Sweep(PrintedTable):
     Attributes
     ----------
     rows : tuple of SweepRow
-        Those that Ctrl-C left out are marked.
+        Rows; the error of a row says if Ctrl-C came before it was computed.
     """
 
     rows: tuple[SweepRow, ...]
 
     @property
     def results(self) -> list[Any]:
-        """The results of all rows, None where there is none."""
+        """Results of all rows; None for a row without a result."""
         return [row.result for row in self.rows]
 
     @property
     def failed(self) -> dict[int, str]:
-        """The errors, by number of the row."""
+        """Errors of the rows without a result, by number of the row."""
         return {k: row.error for k, row in enumerate(self.rows) if not row.finished}
 
     def to_dataframe(self) -> Any:
-        """Return a table of pandas with a row for each design: its values, the result, the error.
+        """Return a pandas table with a row for each design: its values, the result, the error.
 
-        Of a gradient the columns are ``objective`` and ``d/d rod.height`` ...; of anything else
+        The columns for gradients are ``objective`` and ``d/d rod.height`` ...; for other results
         ``result``.
         """
         rows = [dict(row.values) | _cells(row.result) | {"error": row.error} for row in self.rows]
@@ -253,7 +256,7 @@ def _cells(result: Any) -> dict[str, Any]:
 
 
 _ARRAY = "array"
-# Characters of a line that a message repeats.
+# Number of characters of a line that an error message quotes.
 _SHOWN = 60
 _OTHER = "Give another file, or remove this one to compute all rows anew."
 
@@ -262,7 +265,7 @@ _OTHER = "Give another file, or remove this one to compute all rows anew."
 class SweepFile:
     """Rows of one sweep on disk; InvalidInputError if the file holds something else.
 
-    They belong to `model` and `what`, at designs with these values by name.
+    The rows belong to `model` and `what`, at designs with these `values` by name.
     """
 
     def __init__(
@@ -286,7 +289,7 @@ class SweepFile:
             self._write(self._head)
 
     def rows(self) -> dict[int, SweepRow]:
-        """Return the rows that are there, by number."""
+        """Return the rows in the file by number; InvalidInputError for a line that is no row."""
         rows = {}
         for number, line in enumerate(self._lines[1:], start=2):
             try:
@@ -301,7 +304,7 @@ class SweepFile:
         return rows
 
     def append(self, k: int, row: SweepRow) -> SweepRow:
-        """Write a row; return it with its result as it will be read."""
+        """Write a row to the file; return it with the result as it will be read back."""
         part = {"result": row.result} if row.finished else {"error": row.error}
         line = self._write({"row": k, "values": row.values, **part})
         result = json.loads(line, object_hook=_decoded).get("result")
@@ -347,7 +350,7 @@ class SweepFile:
 
 
 def _row(line: str) -> tuple[int, Any, Any, str]:
-    """Return number, values, result and error of a row; one of several errors if it is none."""
+    """Return number, values, result and error of a sweep's line; raises if it is no row."""
     record = json.loads(line, object_hook=_decoded)
     k, error = record["row"], record.get("error", "")
     if not isinstance(k, int) or k < 0 or not isinstance(error, str):
@@ -362,7 +365,7 @@ def _text(record: object) -> str:
 
 
 def _encoded(value: object) -> object:
-    """Return arrays and NumPy's numbers as JSON has them."""
+    """Return arrays and NumPy numbers in a form that JSON can hold."""
     if isinstance(value, np.ndarray):
         return {_ARRAY: value.tolist()}
     if isinstance(value, np.generic):

@@ -1,4 +1,4 @@
-"""Taylor test: the remainder of a first-order expansion must shrink with the square."""
+"""Taylor test of a gradient: first-order remainders must decrease with the square."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,11 +35,11 @@ class TaylorTest(PrintedTable):
     gradient : Gradient
         Value Psi(b) and gradient Psi_b under test.
     sizes : array, shape (n,)
-        Relative perturbations s.
+        Relative perturbations s (dimensionless).
     zeroth : array, shape (n,)
-        abs(Psi(b + s db) - Psi(b)).
+        abs(Psi(b + s db) - Psi(b)), in the unit of the objective.
     first : array, shape (n,)
-        abs(Psi(b + s db) - Psi(b) - s Psi_b db).
+        abs(Psi(b + s db) - Psi(b) - s Psi_b db), in the unit of the objective.
     """
 
     gradient: Gradient
@@ -51,13 +51,13 @@ class TaylorTest(PrintedTable):
     def order(self) -> float:
         """Smallest observed order of `first` between neighbouring sizes; 2 if Psi_b is right.
 
-        Infinite where a remainder vanishes, as that of a linear objective does to round-off.
+        Infinite if a remainder vanishes, as for a linear objective to round-off.
         """
         orders = observed_order(self.first[:-1], self.first[1:], self.sizes[:-1] / self.sizes[1:])
         return float(np.min(np.where(np.isnan(orders), np.inf, orders)))
 
     def to_dataframe(self) -> Any:
-        """Return a table of pandas with a row for each size: ``change`` and ``remainder``."""
+        """Return a pandas table: a row per size, with ``change`` and ``remainder``."""
         table = {"size": self.sizes, "change": self.zeroth, "remainder": self.first}
         return pandas().DataFrame(table)
 
@@ -86,7 +86,7 @@ def taylor_test(
 ) -> TaylorTest:
     """Check the gradient of an objective by runs at perturbed designs.
 
-    The perturbed runs keep the steps of the first one.
+    The perturbed runs repeat the steps of the unperturbed run.
 
     Parameters
     ----------
@@ -95,8 +95,8 @@ def taylor_test(
     direction : sequence of float, optional
         Relative change of each design variable (absolute where it is zero); ones by default.
     sizes : sequence of float
-        Perturbation sizes, falling. Too large ones meet terms of third order, too small ones
-        round-off; both change the observed order.
+        Perturbation sizes, decreasing (relative). For too large ones third-order terms, for too
+        small ones round-off change the observed order.
     progress : bool
         Whether to show a progress bar, which counts the perturbed runs.
     """

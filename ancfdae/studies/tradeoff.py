@@ -1,4 +1,4 @@
-"""The call: measure settings here or in the workers of an executor."""
+"""The call `work_precision`: cost and errors of settings, in this process or in workers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ from ancfdae.studies.tradeoff_result import (
     measure,
 )
 
-# Most steps of the reference by default: the crank-slider of the paper takes 29,410 by `DOP853`.
+# Largest number of steps of the default reference: the paper's crank-slider takes 29,410 by
+# `DOP853`.
 _STEPS = 50_000
 # The steps of `DOP853` in the first of _PARTS parts of the motion show whether it can be the
 # reference; fewer than _FEW steps show nothing.
@@ -59,7 +60,7 @@ def work_precision(
     models: Mapping[str, Scene] | None = None,
     progress: bool = False,
 ) -> WorkPrecision:
-    """Measure every setting's processor time and errors; one that fails is a row with its message.
+    """Measure processor time and errors of settings; a failed one is a row with its message.
 
     Parameters
     ----------
@@ -72,12 +73,13 @@ def work_precision(
         would take more than 50,000 steps, or if stability rather than accuracy would limit its
         step, ``IDA(1e-9)``.
     repeats : int
-        Runs of each setting, of which the fastest counts; those above a second are not repeated.
+        Number of runs of each setting, of which the fastest counts; runs above a second are not
+        repeated.
     time_limit : float, optional
-        Longest time for the runs of one setting, but the reference, by the clock; s.
+        Largest elapsed time for the runs of one setting, except the reference; s.
     executor, models : optional
-        Where the runs take place, as in `sweep`, but in no threads, which count each other's time;
-        and other models of the scene by name, measured in objective and gradient.
+        Executor of the runs, as in `sweep`, but not threads, which count each other's time; and
+        other models of the scene by name, compared in objective and gradient.
     """
     limits = repeats, time_limit
     settings = _checked(settings, reference, method, executor, *limits, progress)
@@ -100,7 +102,7 @@ def work_precision(
 def _others(
     models: Mapping[str, Scene], design: Sequence[str | DesignVariable] | None
 ) -> Iterator[tuple[str, MechanicalSystem]]:
-    """Yield other models, in the design variables that they have."""
+    """Yield the comparison's other models by name, as systems with the variables that they have."""
     variables = as_design(() if design is None else design)
     for name, scene in models.items():
         require_kind(f"models, {name}", scene, (Scene,), "Pass a Scene.")
@@ -116,7 +118,7 @@ def _checked(
     time_limit: float | None,
     progress: bool,
 ) -> Sequence[Integrator]:
-    """Return the settings as a tuple; raise InvalidInputError for arguments that cannot be used."""
+    """Return the integrator settings as a tuple; InvalidInputError for unusable arguments."""
     require_flag("progress", progress)
     repair = "For example [HHT(step=0.01)]."
     settings = require_each("settings", settings, (Integrator,), repair)
@@ -135,10 +137,10 @@ def _checked(
 
 
 def _suitable(system: MechanicalSystem, t_end: float) -> tuple[Integrator, str]:
-    """Return a reference that can finish, and why it is not `DOP853`.
+    """Return a reference integrator that can finish, and why it is not `DOP853`, as text.
 
-    Where stability limits the steps of `DOP853`, a loose tolerance needs about as many as a tight
-    one; where accuracy does, it needs 10^(-5/8) = 0.24 times as many.
+    If stability limits the steps of `DOP853`, a loose tolerance needs about as many as a tight one;
+    if accuracy does, it needs 10^(-5/8) = 0.24 times as many.
     """
     tight, loose = (
         uninterrupted(
@@ -158,7 +160,7 @@ def _suitable(system: MechanicalSystem, t_end: float) -> tuple[Integrator, str]:
 def _measured(
     tasks: Sequence[Task], executor: Executor | None, progress: bool
 ) -> list[Measurement]:
-    """Measure all tasks, the reference first; after an interrupt with rows that say so."""
+    """Return the measurements of all tasks, reference first; rows not computed say so."""
     measured: dict[int, Measurement] = {}
     parts = {"model": tasks[0].system, "objective": tasks[0].objective}
     arriving = answers(measure, dict(enumerate(tasks)), executor, parts, progress=progress)
@@ -169,7 +171,7 @@ def _measured(
                 if k == 0:
                     _required(measured[0])
         except KeyboardInterrupt:
-            # Without the reference nothing could be said of the others.
+            # Without the reference no error of the other settings is known.
             if 0 not in measured:
                 raise
     return [measured.get(k, _LEFT) for k in range(len(tasks))]

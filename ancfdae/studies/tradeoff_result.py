@@ -1,8 +1,8 @@
 """Measured settings: one run of each, its errors, Pareto front, recommendation, table and plot.
 
-Every error is the largest over the common times relative to the largest of the reference, in norms
-without units: coordinates in the weighted form sqrt(w_i) q_i, multipliers by the forces
-Phi_q^T lam that they stand for, gradients times the values of the design variables.
+Every error is the largest over the common times relative to the largest value of the reference, in
+dimensionless norms: coordinates in the weighted form sqrt(w_i) q_i, multipliers by the forces
+Phi_q^T lam, gradients times the values of the design variables.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ if TYPE_CHECKING:
     from ancfdae.plotting import Panel, Series
 
 
-# Times at which trajectories are compared, and instants at which drift and energy are computed.
+# Number of times at which trajectories are compared, and at which drift and energy are computed.
 _SAMPLES = 201
 _LOOKS = 1000
-# Longer runs are timed once; s.
+# Time above which runs are not repeated; s.
 _LONG = 1.0
 
 
 @final
 @dataclass(frozen=True)
 class Task:
-    """A measurement to make; everything in it pickles if system and objective do.
+    """A measurement to make: a setting on a model; it pickles if system and objective do.
 
-    `model` is the name of another model than the one that all are compared with.
+    `model` is the name of another model than the reference's, else empty.
     """
 
     system: MechanicalSystem
@@ -69,9 +69,9 @@ class Task:
 class Results:
     """Value, gradient and errors of a finished run.
 
-    q and lam, (k, n), are those at the common times; `drift`, (j, n_lam), has the constraints at
-    the instants t of the run, `energy`, (j,), is the total one there, empty for a system that is
-    not a scene, and `kinetic` the largest kinetic one.
+    q and lam, (k, n), are the states at the common times. `drift`, (j, n_lam), holds the
+    constraints and `energy`, (j,), the total energy, J, at the times t of the run; `energy` is
+    empty for a system that is not a scene. `kinetic` is the largest kinetic energy, J.
     """
 
     value: float
@@ -87,9 +87,9 @@ class Results:
 @final
 @dataclass(frozen=True)
 class Measurement:
-    """Least processor time of the repeats, the outcome as a sentence, and results if there are.
+    """Measured integrator setting: least processor time, s, outcome as text, results if any.
 
-    `verdict` tells how a run ended that did not reach its end time.
+    `verdict` is how a run ended that did not reach its end time.
     """
 
     seconds: float
@@ -99,12 +99,12 @@ class Measurement:
 
 
 def common_times(t_end: float) -> Array:
-    """Return the times at which trajectories are compared."""
+    """Return the times at which trajectories are compared, shape (201,); s."""
     return np.linspace(0.0, t_end, _SAMPLES)
 
 
 def measure(task: Task) -> Measurement:
-    """Run one setting; a failure is a measurement without results."""
+    """Return cost and errors of one integrator setting; without results if its run failed."""
     clock, limit = stopwatch(), TimeLimit(task.time_limit)
     try:
         with limit:
@@ -144,7 +144,7 @@ def _results(system: MechanicalSystem, answer: Gradient) -> Results:
 
 
 def _energy(system: MechanicalSystem, solution: Solution, rows: Array) -> tuple[Array, float]:
-    """Return the energy of a scene, kinetic, strain and gravity's, and the largest kinetic one."""
+    """Return the total energy of a scene at `rows`, and the largest kinetic energy; J."""
     if not isinstance(system, AncfSystem):
         return np.zeros(0), 0.0
     q, v = solution.q[rows], solution.v[rows]
@@ -156,9 +156,10 @@ def _energy(system: MechanicalSystem, solution: Solution, rows: Array) -> tuple[
 
 ErrorKind = Literal["states", "multipliers", "objective", "gradient"]
 _KINDS: Final[tuple[ErrorKind, ...]] = ("states", "multipliers", "objective", "gradient")
-# Processor times over the least that count as no more: those of one run differ by a tenth and more.
+# Ratio of processor times up to which they count as equal: times of one run differ by 10 % and
+# more.
 _NEAR: Final = 1.25
-# Settings that vary along one line of a plot.
+# Names of settings that vary along one line of a plot, and of purely technical settings.
 _ACCURACY: Final = ("step", "rtol", "atol", "times")
 _TECHNICAL: Final = ("newton_tolerance", "max_iterations", "max_steps", "intervals")
 
@@ -166,25 +167,25 @@ _TECHNICAL: Final = ("newton_tolerance", "max_iterations", "max_steps", "interva
 @final
 @dataclass(frozen=True)
 class MeasuredSetting:
-    """One measured setting.
+    """One measured integrator setting with its cost and errors.
 
     Attributes
     ----------
     integrator : Integrator
     seconds : float
-        Processor time of value and gradient, the least of the repeats; of what was tried if the
-        setting failed.
+        Smallest processor time of value and gradient over the repeats, s; time until the failure if
+        the setting failed.
     states, multipliers, objective, gradient : float or None
-        Relative errors against the reference; None if the setting failed.
+        Errors relative to the reference; None if the setting failed.
     drift : float or None
-        Largest distance from a constraint, relative to the size of the coordinates.
+        Largest violation of a constraint as a distance, relative to the norm of the coordinates.
     energy : float or None
-        Largest difference of the total energy (kinetic, strain and gravity's) from that of the
-        reference, relative to the largest kinetic energy; None for systems that are not scenes.
+        Largest difference of the total energy (kinetic, strain and gravity) from the reference,
+        relative to the largest kinetic energy; None for systems that are not scenes.
     outcome : str
         How the run ended, or why there is none.
     model : str
-        Name of the model, if it is another one than that of the reference; it has errors of
+        Name of the model, if it differs from the model of the reference; it has errors of
         objective and gradient only.
     """
 
@@ -201,19 +202,19 @@ class MeasuredSetting:
 
     @property
     def finished(self) -> bool:
-        """Whether the setting gave a gradient."""
+        """Whether the run of the setting gave a gradient."""
         return self.gradient is not None
 
     @property
     def family(self) -> str:
-        """Model and integrator without what decides about accuracy, such as ``"HHT fixed"``."""
+        """Model and integrator without settings of accuracy, for example ``"HHT fixed"``."""
         words = [type(self.integrator).__name__]
         words += [x.kind for x in vars(self.integrator).values() if isinstance(x, StepControl)]
         return ", ".join(filter(None, [self.model, " ".join(words), *_chosen(self.integrator)]))
 
     @property
     def label(self) -> str:
-        """Setting that decides about accuracy, such as ``"step 0.01"`` or ``"rtol 1e-05"``."""
+        """Settings of accuracy, such as ``"step 0.01"`` or ``"rtol 1e-05"``."""
         given = [
             f"{name} {value:.4g}"
             for name, value, _ in _settings(self.integrator)
@@ -222,8 +223,8 @@ class MeasuredSetting:
         return ", ".join(given) or "given"
 
     def error(self, of: ErrorKind) -> float:
-        """Return one of the four errors; infinite if the setting failed."""
-        if str(of) not in _KINDS:  # Also of an array, which compares entry by entry.
+        """Return one of the four relative errors of the setting; infinite if the run failed."""
+        if str(of) not in _KINDS:  # `str`, because an array would compare entry by entry.
             known = ", ".join(_KINDS)
             raise InvalidInputError("of", f"must be one of {known}", repr(of))
         value: float | None = getattr(self, of)
@@ -252,10 +253,10 @@ class TargetNotReachedError(AncfdaeError):
 @final
 @dataclass(frozen=True, repr=False)
 class WorkPrecision(PrintedTable):
-    """Cost against accuracy on one scene: settings in the order they were asked for.
+    """Cost and accuracy of settings on one scene, in the order of the settings.
 
-    The error of the reference, which errors are measured against, is not known; errors below that
-    mean nothing.
+    Errors are measured relative to a reference, whose own error is not known; errors below that are
+    meaningless.
     """
 
     rows: tuple[MeasuredSetting, ...]
@@ -276,8 +277,8 @@ class WorkPrecision(PrintedTable):
 
         Processor times of the same run differ from call to call. Settings that take at most a
         quarter more than the cheapest therefore count as equally cheap, and the first of them in
-        the order of `rows` is returned. It holds for this scene, this objective and this end time;
-        nothing is extrapolated.
+        the order of `rows` is returned. The recommendation holds for this scene, objective and end
+        time; nothing is extrapolated.
 
         Raises
         ------
@@ -294,11 +295,11 @@ class WorkPrecision(PrintedTable):
         return next(row for row in good if row.seconds <= _NEAR * least)
 
     def table(self) -> str:
-        """Return all settings as a table in plain text, the reference last."""
+        """Return all settings with their errors as a plain-text table, the reference last."""
         return columns(self._lines(), shorten=False)
 
     def to_dataframe(self) -> Any:
-        """Return a table of pandas with a row for each setting, the reference last."""
+        """Return a pandas table with a row for each setting, the reference last."""
         names = ("family", "label", "seconds", *_KINDS, "drift", "energy", "outcome")
         rows = [
             {name: getattr(row, name) for name in names} for row in (*self.rows, self.reference)
@@ -318,7 +319,8 @@ class WorkPrecision(PrintedTable):
     def plot(self, path: str | os.PathLike[str]) -> tuple[Path, ...]:
         """Draw errors of states and gradient over processor time, and save them.
 
-        Returns the files written: ``trade.png`` or ``trade.svg`` if the path ends so, else both.
+        Returns the paths of the files: ``trade.png`` or ``trade.svg`` if the path ends so, else
+        both.
 
         Raises
         ------
@@ -330,7 +332,7 @@ class WorkPrecision(PrintedTable):
         return plotting.save(plotting.draw(self.panels(), columns=2), path)
 
     def panels(self) -> list[Panel]:
-        """Return the panels of `plot`, for figures of your own."""
+        """Return the panels of `plot`, to be drawn in other figures."""
         from ancfdae.plotting import Panel
 
         return [
@@ -369,7 +371,10 @@ class WorkPrecision(PrintedTable):
 def compared(
     system: MechanicalSystem, task: Task, run: Measurement, exact: Results
 ) -> MeasuredSetting:
-    """Measure a run against the reference, which is one of `system`."""
+    """Return a measured setting with the errors of a run relative to the reference `exact`.
+
+    `system` is the system of the reference.
+    """
     given = run.results
     row = MeasuredSetting(task.integrator, run.seconds, run.outcome, model=task.model)
     if given is None:
@@ -400,14 +405,14 @@ def compared(
 
 
 def _forces(system: MechanicalSystem, q: Array, lam: Array, t: Array) -> Array:
-    """Return Phi_q^T lam at every instant."""
+    """Return the constraint forces Phi_q^T lam at times t, shape (k, n_q)."""
     return np.array(
         [reaction(system, *state) for state in zip(t.tolist(), q, lam, strict=True)]
     ).reshape(len(t), -1)
 
 
 def _drift(system: MechanicalSystem, q: Array, t: Array, given: Results) -> float:
-    """Return the largest |Phi_i| over the length of its row of Phi_q and the size of q."""
+    """Return the largest constraint error |Phi_i| over the norm of its row of Phi_q and of q."""
     if not system.n_lam:
         return 0.0
     inverse = 1 / system.weights[system.constraint_pattern.columns]
@@ -423,7 +428,11 @@ def _drift(system: MechanicalSystem, q: Array, t: Array, given: Results) -> floa
 
 
 def _energy_error(given: Results, exact: Results) -> float | None:
-    """Compare energies at the instants of the run; the reference's is interpolated."""
+    """Return the largest difference of energies over the largest kinetic energy.
+
+    The energy of the reference is interpolated at the times of the run. None for systems that are
+    not scenes.
+    """
     if not len(given.energy):
         return None
     k = min(3, len(exact.energy) - 1)
@@ -433,7 +442,7 @@ def _energy_error(given: Results, exact: Results) -> float | None:
 
 
 def _largest_ratio(x: Array, reference: Array) -> float:
-    """Return the largest norm of a row over that of the reference."""
+    """Return the largest norm of a row of x over the largest norm of a row of the reference."""
     return ratio(
         float(np.max(np.linalg.norm(x, axis=1))), float(np.max(np.linalg.norm(reference, axis=1)))
     )
@@ -446,7 +455,7 @@ def _cells(row: MeasuredSetting) -> list[str]:
 
 
 def _settings(owner: object) -> Iterator[tuple[str, Any, Any]]:
-    """Yield name, value and default of the settings of a dataclass and of its steps."""
+    """Yield name, value and default of the settings of an integrator and of its step control."""
     for f in dataclasses.fields(owner) if dataclasses.is_dataclass(owner) else ():
         value = getattr(owner, f.name)
         if isinstance(value, StepControl):
@@ -456,7 +465,7 @@ def _settings(owner: object) -> Iterator[tuple[str, Any, Any]]:
 
 
 def _chosen(integrator: Integrator) -> Sequence[str]:
-    """Return the settings that are neither defaults nor a matter of accuracy, in words."""
+    """Return the settings that are neither defaults nor settings of accuracy, as texts."""
     return [
         f"{name} = {value}"
         for name, value, default in _settings(integrator)

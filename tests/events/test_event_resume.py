@@ -93,3 +93,18 @@ def test_earlier_runs_that_do_not_fit_are_refused_in_words():
         simulate(scene, 3.2, HHT(0.05), events=events, modes=modes, after=part)
     with pytest.raises(InvalidInputError, match="after: must be"):
         simulate(Ball(), 3.2, HHT(0.05), after=part)
+
+
+def test_run_that_goes_on_knows_which_impact_has_just_happened():
+    # A flight of less than 1e-8 of the run between two impacts of one event is rest. The earlier
+    # run ends within the first flight of this kind.
+    ball, settings = Ball((5.0, 0.0, 10.0, 0.5)), {"events": [BOUNCE]}
+    once = simulate(ball, 3.2, HHT(0.05), **settings)
+    last = once.phases[-1]
+    assert 0 < last.t[-1] - last.t[0] < 3.2e-8
+    part = simulate(ball, np.mean(last.t[[0, -1]]), HHT(0.05), **settings)
+    assert part.outcome.success
+    run = simulate(ball, 3.2, HHT(0.05), after=part, **settings)
+    assert "follow each other" in str(run.outcome)
+    assert len(run.events) == len(once.events)
+    assert len(run.phases) == len(once.phases)

@@ -871,7 +871,7 @@ def test_pole_is_no_zero_and_leads_no_farther_than_the_end(integrator):
     assert np.all(solution.t <= 0.4)
 
 
-@pytest.mark.parametrize("later", 10.0 ** np.arange(-14.0, -8.0, 0.5))
+@pytest.mark.parametrize("later", 10.0 ** np.arange(-14.0, -8.0))
 @pytest.mark.parametrize("integrator", [HHT(0.01), Radau(0.05), DOP853(1e-8)])
 def test_impact_that_follows_another_one_at_once_is_not_lost(integrator, later):
     bodies = [

@@ -16,6 +16,7 @@ from ancfdae import (
     Terminal,
     differentiate,
     gradient,
+    gradients,
     load_event_solution,
     simulate,
 )
@@ -83,17 +84,16 @@ STICKS, FORWARD, BACKWARD = (
 @pytest.mark.parametrize("b", [STICKS, FORWARD, BACKWARD])
 def test_disc_sticks_or_slides_as_its_closed_form(b, law):
     b, t_end = np.array(b), 0.6
-    for number, coordinate in enumerate((0, 2)):
-        objective = Terminal(custom(lambda t, q, v, lam, b, k=coordinate: v[:, k], "speed"))
-        exact = disc_by_hand(b, t_end)[number]
-        steps = (disc_by_hand(b + 1e-30j * x, t_end)[number] for x in np.eye(6))
-        slopes = [np.imag(x) / 1e-30 for x in steps]
-        for integrator, method in product((HHT(0.05), Radau(0.2)), EXACT):
-            found = gradient(
-                Disc(b), objective, t_end, integrator, method=method, events=[Disc.impact(law)]
-            )
-            assert found.value == pytest.approx(exact, abs=1e-12)
-            np.testing.assert_allclose(found.gradient, slopes, rtol=1e-10, atol=1e-11)
+    speeds = [Terminal(custom(lambda t, q, v, lam, b, k=k: v[:, k], f"speed {k}")) for k in (0, 2)]
+    steps = np.array([disc_by_hand(b + 1e-30j * x, t_end) for x in np.eye(6)])
+    slopes = np.imag(steps).T / 1e-30
+    for integrator, method in product((HHT(0.05), Radau(0.2)), EXACT):
+        found = gradients(
+            Disc(b), speeds, t_end, integrator, method=method, events=[Disc.impact(law)]
+        )
+        for each, exact, slope in zip(found, disc_by_hand(b, t_end), slopes, strict=True):
+            assert each.value == pytest.approx(exact, abs=1e-12)
+            np.testing.assert_allclose(each.gradient, slope, rtol=1e-10, atol=1e-11)
 
 
 def test_impulses_of_friction_and_their_derivatives_are_recorded(tmp_path):
@@ -271,7 +271,7 @@ def test_impulses_are_a_solution_that_trial_of_all_branches_finds(count):
 def test_poissons_law_gains_no_energy_where_newtons_may():
     """Newton's law with friction may gain energy (Kane's pendulum), Poisson's not for e <= 1."""
     rng, gains = np.random.default_rng(7), dict.fromkeys(ImpactLaw, 0)
-    for _ in range(300):
+    for _ in range(100):
         mu, e = rng.uniform(0.1, 1.0), rng.uniform(0.3, 1.0)
         b = (mu, e, *rng.uniform(-1.2, 1.2, 2), rng.normal())
         for law in ImpactLaw:
@@ -307,8 +307,8 @@ def test_bad_friction_is_refused_in_words():
         Impact(gap, sliding=sliding)
     with pytest.raises(InvalidInputError, match="must not be negative"):
         Impact(gap, friction=-0.3, sliding=sliding)
-    with pytest.raises(InvalidInputError, match="Two directions of sliding are not supported"):
-        Impact(gap, friction=0.3, sliding=(sliding, sliding))
+    with pytest.raises(InvalidInputError, match="must be one observable or two"):
+        Impact(gap, friction=0.3, sliding=(sliding,) * 3)
     with pytest.raises(InvalidInputError, match=r"ImpactLaw\.NEWTON or POISSON"):
         Impact(gap, law="poisson")
     squared = Impact(gap, friction=0.3, sliding=sliding**2)

@@ -204,7 +204,7 @@ def test_the_step_that_an_outcome_names_is_right():
     assert error(run, crank, begin + STROKE * np.sin(RATE * run.t)) <= 1e-12
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("integrator", [HHT(0.7 / 60), Radau(step=0.7 / 60)], ids=["HHT", "Radau"])
 def test_what_a_run_keeps_is_right_wherever_it_stops(integrator, seed):
     """Splines through places 1e-7 to 3e-2 from the dead point, and over it: joints then lock."""

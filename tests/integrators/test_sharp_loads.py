@@ -118,8 +118,8 @@ def test_values_over_time_follow_them_too():
 
 
 def test_a_notch_that_no_run_follows_is_said_to_be_missed():
-    """A hundred-thousandth of the travel, passed in 5e-6 s."""
-    there, rod = scene("x", 3e5, 0.2, 1e-5)
+    """A ten-millionth of the travel, passed in 5e-8 s."""
+    there, rod = scene("x", 3e7, 0.2, 1e-7)
     settings = {"tolerance": 1e-2, "design": ["notch.strength"]}
     with pytest.warns(ToleranceWarning, match="forces or observables change within"):
         gradient(there, Terminal(position(rod.at_end, 1)), END, **settings)

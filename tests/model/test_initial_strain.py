@@ -306,7 +306,7 @@ def test_every_integrator_takes_it():
 
 @pytest.mark.parametrize("element", [BEAM_2D, CABLE_3D], ids=lambda element: element.name)
 def test_a_strained_scene_is_a_system(element):
-    assert check_system(assemble(slack(element, 1), DESIGN))
+    assert check_system(assemble(slack(element, 1), DESIGN), samples=1)
 
 
 # ---- what is refused

@@ -89,9 +89,16 @@ def atwood(d=2, friction=0.5, inertia=0.02, where=(0.0, 0.0, 0.0), unit=1.0):
     return Scene([], [bearing, *rails], gravity, loads=[rope], bodies=[wheel, a, b])
 
 
-@pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize(
-    "integrator", [HHT(2.0**-9), Radau(rtol=1e-7), IDA(1e-8), DOP853(1e-8)], ids=repr
+    ("d", "integrator"),
+    [
+        (2, HHT(2.0**-9)),
+        (3, HHT(2.0**-9)),
+        (3, Radau(rtol=1e-7)),
+        (2, IDA(1e-8)),
+        (2, DOP853(1e-8)),
+    ],
+    ids=repr,
 )
 def test_masses_over_a_wheel_with_inertia_accelerate_as_in_the_closed_form(d, integrator):
     scene = atwood(d)
@@ -382,7 +389,7 @@ def test_every_derivative_of_the_force_is_that_of_its_values(d):
     scene, _ = crane(d)
     # Taut, and slipping at speeds at which friction is not constant yet: its derivatives are seen.
     rope = replace(scene.loads[0], length=4.5, damping=2.0, slip_speed=4.0)
-    report = check_system(assemble(replace(scene, loads=[rope]), design_of(d)))
+    report = check_system(assemble(replace(scene, loads=[rope]), design_of(d)), samples=1)
     assert report.passed, report
 
 

@@ -336,7 +336,7 @@ DESIGN = ["bead.mass", "rod.youngs_modulus", "drag.coulomb", "drag.viscous", "dr
 
 @pytest.mark.parametrize("d", [2, 3])
 def test_every_derivative_of_the_equations_is_that_of_their_values(d):
-    report = check_system(assemble(cableway(d), [*DESIGN, "slide.fraction"]))
+    report = check_system(assemble(cableway(d), [*DESIGN, "slide.fraction"]), samples=1)
     assert report.passed, report
 
 

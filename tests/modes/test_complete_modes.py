@@ -65,8 +65,16 @@ def vibrations(K, D, M):
 THEORY = 2e-2
 
 
-@pytest.mark.parametrize("elements", [8, 16, 32, 48])
-@pytest.mark.parametrize("tau", [0.01, 0.1, 0.5, 5.0, 100.0])
+@pytest.mark.parametrize(
+    ("elements", "tau"),
+    [
+        *((n, tau) for n in (8, 16) for tau in (0.01, 0.1, 0.5, 5.0, 100.0)),
+        (32, 0.1),
+        (32, 5.0),
+        (48, 0.5),
+        (48, 100.0),
+    ],
+)
 def test_no_vibration_of_steel_is_skipped_beside_rubber_that_creeps(elements, tau):
     """At 8 elements and 5 s the first one was 106,328 rad/s, and 16 elements skipped the fifth."""
     case = elements, (STEEL, RUBBER), (0.0, tau)
@@ -88,9 +96,8 @@ def test_the_vibrations_of_a_coarse_cantilever_are_those_of_theory(tau):
     np.testing.assert_allclose(own, unit * np.array([1.8751, 4.6941, 7.8548]) ** 2, rtol=1e-2)
 
 
-@pytest.mark.parametrize("count", [1, 3, 12, 20])
 @pytest.mark.parametrize("elements", [4, 10, 24])
-def test_three_bodies_with_three_retardation_times(count, elements):
+def test_three_bodies_with_three_retardation_times(elements):
     """Every material has the exponents of its own undamped frequencies."""
     times = 0.0, 0.01, 10.0
     expected = []
@@ -99,8 +106,9 @@ def test_three_bodies_with_three_retardation_times(count, elements):
         left = omega**2 - (tau * omega**2 / 2) ** 2
         expected += list((-tau * omega**2 / 2 + 1j * np.sqrt(np.maximum(left, 0)))[left > 0])
     expected = np.array(sorted(expected, key=abs))
-    found = modes(cantilevers(elements, (STEEL, WOOD, RUBBER), times), count).exponents
-    np.testing.assert_allclose(found, expected[:count], rtol=1e-6)
+    for count in (1, 3, 12, 20) if elements < 24 else (3, 20):
+        found = modes(cantilevers(elements, (STEEL, WOOD, RUBBER), times), count).exponents
+        np.testing.assert_allclose(found, expected[:count], rtol=1e-6)
 
 
 @pytest.mark.parametrize("elements", [6, 16])

@@ -75,7 +75,7 @@ def test_growing_motions_come_first_and_fastest_first(damping_time):
     wanted = growing_alone(beams, forces)
     together = scene(beams, forces)
     at = equilibrium(together)
-    for count in (1, 2, 3, 6, len(wanted), len(wanted) + 3):
+    for count in (1, 3, len(wanted) + 3):
         s = modes(together, count, at=at).exponents
         assert np.sum(s.real > 1.0) == min(count, len(wanted))
         first = min(count, len(wanted))
@@ -165,7 +165,7 @@ def test_the_lowest_mode_of_more_blades_than_arnoldi_looks_for_is_that_of_one():
 
 def test_blades_that_coincide_have_the_derivatives_of_one():
     def of_rate_and_height(number):
-        turning = blades(number, 4)
+        turning = blades(number, 2)
         height = DesignVariable("h", [f"b{k}.height" for k in range(number)])
         return modes(turning, number, at=equilibrium(turning), design=["scene.rate", height])
 

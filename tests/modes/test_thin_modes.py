@@ -60,7 +60,7 @@ def free_beam(slenderness, elements, nu, turned):
 
 @pytest.mark.rounding
 @pytest.mark.parametrize("turned", [False, True])
-@pytest.mark.parametrize("nu", [0.0, 0.2, 0.49])
+@pytest.mark.parametrize("nu", [0.0, 0.49])
 @pytest.mark.parametrize("elements", [2, 3, 4])
 @pytest.mark.parametrize(
     "slenderness", [3e-4, 2.06e-4, 1.53e-4, 1.33e-4, 1.16e-4, 3e-5, 1.24e-5, 5.17e-6, 1.98e-6]

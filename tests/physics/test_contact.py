@@ -45,9 +45,8 @@ from ancfdae.sections import Circle
 from tests.support.contacts import MASS, UNITS, G, R, agree, ball, falling, moving
 
 
-@pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("restitution", [0.05, 0.3, 0.8, 0.999])
-@pytest.mark.parametrize("exponent", [1.0, 1.5, 2.0])
+@pytest.mark.parametrize(("unit", "exponent"), [("m", 1.0), ("m", 1.5), ("m", 2.0), ("mm", 1.5)])
 def test_a_ball_leaves_at_the_restitution_of_its_impact(unit, restitution, exponent):
     scene, _ = falling(2.0, unit, restitution=restitution, impact_speed=2.0, exponent=exponent)
     run = simulate(scene, 0.06, Radau(rtol=1e-9))

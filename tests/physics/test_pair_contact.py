@@ -77,6 +77,8 @@ def test_balls_that_collide_keep_both_momenta(unit, d):
         assert np.ptp(observe(momentum, run, system)) < 1e-7 * size
     energy = observe(kinetic_energy(), run, system)
     assert energy[-1] < 0.7 * energy[0]
+    if unit == "m":
+        return
     # The same motion in other units, far from the origin.
     here = simulate(heap("m", d, **LAW, **RUBS)[0], 0.4, Radau(rtol=1e-8))
     there = bodies[3].at(*[0.0] * d)

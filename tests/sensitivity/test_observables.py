@@ -223,6 +223,7 @@ EXPRESSIONS = {
     "angular momentum": angular_momentum(beam="rod") / linear_momentum(0),
     "deflection": deflection(ROD.at_end, ROD.at_start),
     "angle times place": slope_angle(INNER) * Y,
+    "angle of a point, in the third quadrant": np.arctan2(-Y - 4.0, -X),
 }
 ALL = LEAVES | EXPRESSIONS
 
@@ -423,7 +424,6 @@ REFUSED = [
     (lambda x: np.maximum(x, 0.0), "SmoothMaximum"),
     (lambda x: np.minimum(1.0, x), "SmoothMaximum"),
     (lambda x: np.clip(x, 0.0, 1.0), "tanh"),
-    (lambda x: np.arctan2(x, x), "slope_angle"),
     (lambda x: np.hypot(x, x), "sqrt(x**2 + y**2)"),
     (lambda x: np.heaviside(x, 0.5), "tanh"),
     (lambda x: x // 2, "no derivative"),

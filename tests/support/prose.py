@@ -1,9 +1,7 @@
 """Prose of the checkout by kind and place: docstrings, comments, strings, Markdown."""
 
 import ast
-import io
 import re
-import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -18,6 +16,14 @@ UNREAD = ("docs/made", "docs/reports", "docs/changelog.md", "tests/tools/test_en
 
 # An entry of numpydoc that is a number or an array, with its description.
 _NUMBERS = re.compile(r"^[*\w, ]+ : (?:float|array|sequence of float)\b.*(?:\n(?: .*|$))*", re.M)
+# Quick beside `tokenize`, whose tokens it need not make: a "#" within a string begins no comment.
+_STRINGS_AND_COMMENTS = re.compile(
+    r'"""(?:\\.|[^\\])*?"""'
+    r"|'''(?:\\.|[^\\])*?'''"
+    r'|"(?:\\.|[^\\"\n])*"'
+    r"|'(?:\\.|[^\\'\n])*'|(?P<comment>#[^\n]*)",
+    re.DOTALL,
+)
 
 
 class Text(NamedTuple):
@@ -79,10 +85,10 @@ def _called(node: ast.AST) -> str:
 
 def _of_python(path: Path, name: str) -> Iterator[Text]:
     source = path.read_text()
-    tree = ast.parse(source)
+    nodes = list(ast.walk(ast.parse(source)))
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     docstrings, inner = set(), set()
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, documented) and ast.get_docstring(node) is not None:
             first = node.body[0]
             docstrings.add(id(first.value))
@@ -103,8 +109,8 @@ def _of_python(path: Path, name: str) -> Iterator[Text]:
             for variable, value in _assigned(node):
                 if variable in ("rule", "repair"):
                     yield from _said(variable, name, value)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.expr) and id(node) not in docstrings | inner:
+    for node in nodes:
+        if isinstance(node, ast.Constant | ast.JoinedStr) and id(node) not in docstrings | inner:
             words = _spoken(node)
             if words is not None and len(words.split()) > 3:
                 yield Text("string", name, node.lineno, words)
@@ -116,15 +122,16 @@ def _of_python(path: Path, name: str) -> Iterator[Text]:
 def _comments(source: str) -> Iterator[tuple[str, int]]:
     """Yield the comments; lines that follow each other are one."""
     words, began, last = [], 0, -1
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        if token.type != tokenize.COMMENT:
+    for found in _STRINGS_AND_COMMENTS.finditer(source):
+        if not found["comment"]:
             continue
-        if token.start[0] != last + 1 and words:
+        line = source.count("\n", 0, found.start()) + 1
+        if line != last + 1 and words:
             yield " ".join(words), began
             words = []
-        began = began if words else token.start[0]
-        words.append(token.string.lstrip("#: "))
-        last = token.start[0]
+        began = began if words else line
+        words.append(found["comment"].lstrip("#: "))
+        last = line
     if words:
         yield " ".join(words), began
 

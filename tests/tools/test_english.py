@@ -73,17 +73,17 @@ LONGEST = 40
 EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
-    "opens with what": 44,
-    "as far as": 5,
-    "is none": 65,
-    "that of, those of": 474,
+    "opens with what": 41,
+    "as far as": 4,
+    "is none": 45,
+    "that of, those of": 361,
     "inversion": 1,
-    "tells": 72,
-    "all of them": 47,
-    "the other": 27,
-    "instants": 488,
-    "array without a shape": 308,
-    "long sentence": 232,
+    "tells": 49,
+    "all of them": 33,
+    "the other": 21,
+    "instants": 248,
+    "array without a shape": 154,
+    "long sentence": 222,
 }
 
 Hit = tuple[Text, str]

@@ -21,7 +21,7 @@ from ancfdae import (
 from ancfdae.extend import Integrator, Objective
 from ancfdae.plotting import Panel, Series
 from ancfdae.results import Gradient
-from validation.events import awkward, manoeuvre, rod, toy
+from validation.events import awkward, cops, manoeuvre, rod, toy
 from validation.events.mechanisms import Ball, Box, DoublePendulum, FiveBar, SliderCrank
 from validation.events.minimal import differences
 from validation.report import Agreement, Report
@@ -84,6 +84,7 @@ def run(report: Report, quick: bool) -> None:
     rod.fill(report, quick)
     awkward.fill(report, quick)
     manoeuvre.fill(report, quick)
+    cops.fill(report, quick)
 
 
 def _ball(report: Report) -> None:

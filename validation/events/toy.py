@@ -48,7 +48,7 @@ def fill(report: Report, quick: bool) -> None:
     """Add the section on the toy to report `events`."""
     report.heading("C. Woodpecker toy")
     report.text(_TEXT)
-    toy = _cycle(report, 3 if quick else 4)
+    toy = _cycle(report, 1 if quick else 4)
     if not quick:
         _against_twin(report, toy)
         _plot(report, toy)

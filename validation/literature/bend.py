@@ -92,7 +92,7 @@ def _derivatives(report: Report, n: int) -> float:
 
 
 def _plot(report: Report, n: int, loads: tuple[int, ...]) -> None:
-    fine = np.linspace(50, 600, 12)
+    fine = np.linspace(50, 600, 3 * len(loads))
     curve = np.array([_rod_tip(load) for load in fine])
     lost = np.array([_elements(n, load) for load in loads])
     computed = _tip_place() + lost[:, [2, 0, 1]] * [-1, -1, 1]

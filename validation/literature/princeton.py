@@ -130,7 +130,7 @@ def _derivatives(report: Report, n: int) -> float:
 
 
 def _plot(report: Report, angles: Array, computed: dict[float, Array]) -> None:
-    fine = np.linspace(0, 90, 19)
+    fine = np.linspace(0, 90, 3 * len(angles) - 2)
     curves = {P: 1e3 * np.array([_rod_tip(P, angle) for angle in fine]) for P in _LOADS}
     panels = []
     for way, name in enumerate(("stiff", "soft")):

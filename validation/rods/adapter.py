@@ -1,11 +1,13 @@
 """Scenes of cosseratbench's scenarios, and their motion as its trajectories.
 
 Rods that are clamped are spatial beams, others cables. Beams have a Poisson ratio of 0.3: the shear
-modulus of the scenarios, a third of Young's modulus, belongs to an incompressible material. Results
-of scenarios that ask for an equilibrium are equilibria. Where rods touch something they are motions
-that come to rest, with material damping and numerical damping.
+modulus of the scenarios, a third of Young's modulus, belongs to an incompressible material. Where
+an end is turned, the torsion constant of the section makes up for it. Results of scenarios that ask
+for an equilibrium are equilibria. Where rods cross, a damped motion lays them on each other before.
+Rods on a cylinder, and rods with an end that is turned, are damped motions.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,28 +17,38 @@ from ancfdae import (
     BEAM_3D,
     CABLE_3D,
     HHT,
+    AdaptiveSteps,
     Beam,
     BeamContact,
     BeamPairContact,
     Clamp,
     Cylinder,
+    Cylindrical,
     Material,
     NodalState,
     Pin,
     Plane,
     PointForce,
+    Radau,
+    RotationDriver,
     Scene,
     equilibrium,
     simulate,
 )
-from ancfdae.sections import Circle
+from ancfdae.laws import Spline
+from ancfdae.numerics.arrays import Array
+from ancfdae.sections import Circle, GeneralSection
 
 # Depth of a contact under a line load, over the radius of the rod, and the slip over the duration,
 # in radii, of a contact at its limit of friction; its restitution.
 _DEPTH, _SLIP = 1e-2, 0.2
 _BOUNCE: dict[str, Any] = {"restitution": 0.2, "impact_speed": 0.1}
-# Steps of a motion in a frame, and damping time of rods that touch on their way to rest, s.
-_STEPS, _REST_STEPS, _DAMPED = 4, {"cylinder": 20, "rods": 8}, 0.02
+# Steps of a motion in a frame, and damping time of rods on their way to rest, s.
+_STEPS, _REST_STEPS, _DAMPED = 4, 8, 0.02
+# Part of the duration in which rods come to lie on each other.
+_LANDING = 0.05
+# Poisson's ratio, and the largest twist of an element, rad (docs/howto/elements.md).
+_NU, _TWIST = 0.3, 0.1
 
 
 class AncfSolver:
@@ -50,43 +62,72 @@ class AncfSolver:
 
     def run(self, scenario: Any, *, n_elements: int, n_frames: int) -> Any:
         """Return the trajectory of a scenario."""
-        if any(rod.start_motion or rod.end_motion for rod in scenario.rods):
-            raise NotImplementedError("ends that are turned and slide under a load")
-        if scenario.self_contact:
-            raise NotImplementedError("rods that touch themselves")
-        scene = scene_of(scenario, n_elements)
+        if scenario.self_contact and scenario.obstacles:
+            raise NotImplementedError("a rod that touches itself")
+        # Elements that are twisted must be short; trajectories have the nodes that are asked for.
+        finer = max(_finer(rod, n_elements) for rod in scenario.rods)
         times = np.linspace(0.0, scenario.duration, n_frames)
-        touching = bool(scenario.obstacles) or len(scenario.rods) > 1
-        if scenario.quasi_static and not touching:
-            solution = equilibrium(scene).solution
-            places = [solution.nodes(beam.name)[-1, :, 0] for beam in scene.beams]
-            first = [rod.nodes(n_elements) for rod in scenario.rods]
-            positions = [
-                np.stack([x, *[y] * (n_frames - 1)]) for x, y in zip(first, places, strict=True)
-            ]
-        else:
-            kind = "cylinder" if scenario.obstacles else "rods"
-            parts = _REST_STEPS[kind] if touching else _STEPS
-            step = scenario.duration / (parts * (n_frames - 1))
-            integrator = HHT(step, hht_alpha=-0.3 if scenario.quasi_static else -0.01)
-            run = simulate(scene, scenario.duration, integrator)
-            if run.t[-1] < 0.999 * scenario.duration:
-                raise FloatingPointError(str(run.outcome))
-            at = run.at(times)
-            positions = [at.nodes(beam.name)[:, :, 0] for beam in scene.beams]
+        frames = _frames(scene_of(scenario, finer * n_elements), scenario, times)
+        nodes = [each[:, ::finer] for each in frames]
         directors = [
-            np.stack([self._transport(x, np.asarray(rod.normal, float)) for x in each])
-            for rod, each in zip(scenario.rods, positions, strict=True)
+            np.stack([self._director(rod, x) for x in each])
+            for rod, each in zip(scenario.rods, nodes, strict=True)
         ]
-        return self._trajectory(times, tuple(positions), tuple(directors))
+        return self._trajectory(times, tuple(x[:, :, 0] for x in nodes), tuple(directors))
+
+    def _director(self, rod: Any, nodes: Array) -> Any:
+        """Return directions across the elements, (n, 3), from vectors of the nodes, (n + 1, k, 3).
+
+        They turn with the sections of a rod that is twisted, whose normal is the section's z.
+        """
+        if rod.end_motion is None:
+            return self._transport(nodes[:, 0], np.asarray(rod.normal, float))
+        z = nodes[:-1, 3] + nodes[1:, 3]
+        return z / np.linalg.norm(z, axis=1, keepdims=True)
+
+
+def _finer(rod: Any, n: int) -> int:
+    """Return into how many elements each of n is divided, so that none twists much."""
+    turns = 0.0 if rod.end_motion is None else np.linalg.norm(rod.end_motion.rotation, axis=1).max()
+    return max(1, int(np.ceil(turns / (n * _TWIST))))
+
+
+def _frames(scene: Scene, scenario: Any, times: Array) -> list[Array]:
+    """Return vectors of the nodes of each rod at times, (n_t, n + 1, vectors, 3)."""
+    frame = float(times[1])
+    turned = any(rod.end_motion for rod in scenario.rods)
+    if scenario.obstacles:
+        return _motion(scene, times, Radau(AdaptiveSteps(1e-4)))
+    if turned or not scenario.quasi_static:
+        return _motion(scene, times, HHT(frame / _STEPS, hht_alpha=-0.05 if turned else -0.01))
+    if len(scenario.rods) == 1:
+        path = equilibrium(scene).solution.nodes(scene.beams[0].name)
+        return [path[[0] + [-1] * (len(times) - 1)]]
+    landing = times[times <= _LANDING * times[-1]]
+    landed = _motion(scene, landing, HHT(frame / _REST_STEPS, hht_alpha=-0.3))
+    names = [beam.name for beam in scene.beams]
+    states = [NodalState(name, x[-1]) for name, x in zip(names, landed, strict=True)]
+    at_rest = equilibrium(replace(scene, start=states)).solution
+    held = [at_rest.nodes(name)[[-1] * (len(times) - len(landing))] for name in names]
+    return [np.concatenate(both) for both in zip(landed, held, strict=True)]
+
+
+def _motion(scene: Scene, times: Array, integrator: HHT | Radau) -> list[Array]:
+    """Return vectors of the nodes of each rod in a motion; FloatingPointError with its outcome."""
+    run = simulate(scene, float(times[-1]), integrator)
+    if not run.outcome.success:
+        raise FloatingPointError(str(run.outcome))
+    at = run.at(times)
+    return [at.nodes(beam.name) for beam in scene.beams]
 
 
 def scene_of(scenario: Any, n: int) -> Scene:
     """Return the scene of a scenario, with n elements in each rod."""
     beams, starts = list[Beam](), list[NodalState]()
     joints, loads = list[Any](), list[Any]()
-    touching = bool(scenario.obstacles) or len(scenario.rods) > 1
-    damping = _DAMPED if scenario.quasi_static and touching else 0.0
+    turned = any(rod.end_motion for rod in scenario.rods)
+    moving = bool(scenario.obstacles) or len(scenario.rods) > 1 or turned
+    damping = _DAMPED if scenario.quasi_static and moving else 0.0
     for number, rod in enumerate(scenario.rods):
         beam, state = _beam(f"rod{number}", rod, n, damping)
         beams.append(beam)
@@ -96,14 +137,16 @@ def scene_of(scenario: Any, n: int) -> Scene:
             place = rod.centerline[index]
             if end.value == "pinned":
                 joints.append(Pin(at, ground=tuple(map(float, place))))
-            elif end.value == "clamped":
+            elif end.value == "clamped" and (index == 0 or rod.end_motion is None):
                 joints.append(Clamp(at))
+        joints += _turning(beam, rod.end_motion)
         loads += [
             PointForce(beam.at_start if x.at.value == "start" else beam.at_end, x.force)
             for x in rod.loads
         ]
         loads += [_touching(beam.name, rod, x, scenario) for x in scenario.obstacles]
-    for k, rod in enumerate(scenario.rods):
+    # Rods without weight do not press on each other.
+    for k, rod in enumerate(scenario.rods if any(scenario.gravity) else ()):
         for j in range(k):
             # All of its weight on a part of the length of a diameter.
             k_n = _weight(rod, scenario) * rod.length / (2 * rod.radius)
@@ -124,6 +167,15 @@ def scene_of(scenario: Any, n: int) -> Scene:
     return Scene(beams, joints, scenario.gravity, starts, loads)
 
 
+def _turning(beam: Beam, motion: Any) -> list[Any]:
+    """Return the joints of an end that is turned about its axis and slides along it."""
+    if motion is None:
+        return []
+    axis = tuple(map(float, motion.slides_along))
+    angle = Spline(motion.times, np.asarray(motion.rotation) @ np.asarray(axis))
+    return [Cylindrical(beam.at_end, axis), RotationDriver(beam.at_end, angle, axis)]
+
+
 def _weight(rod: Any, scenario: Any) -> float:
     """Return the weight of a rod per length, N/m."""
     return float(rod.material.density * rod.area * np.linalg.norm(scenario.gravity))
@@ -140,14 +192,27 @@ def _beam(name: str, rod: Any, n: int, damping: float) -> tuple[Beam, NodalState
     tangents = np.tile(chord, (n + 1, 1)) if spline is None else spline(s, 1)
     clamped = "clamped" in (rod.start.value, rod.end.value)
     m = rod.material
-    material = Material(m.density, m.youngs_modulus, 0.3, damping_time=damping)
+    material = Material(m.density, m.youngs_modulus, _NU, damping_time=damping)
     along = (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0])
     element = BEAM_3D if clamped else CABLE_3D
     end = points[0] + rod.length * along
-    beam = Beam(name, points[0], end, n, Circle(rod.radius), material, element=element)
-    if clamped:  # It starts straight.
+    beam = Beam(name, points[0], end, n, _section(rod), material, element=element)
+    if spline is None and clamped:  # It starts straight.
         return beam, None
-    return beam, NodalState(name, np.stack([places, tangents], axis=1))
+    vectors = [places, tangents]
+    if clamped:  # The section's z is the rod's normal.
+        z = np.tile(np.asarray(rod.normal, float), (n + 1, 1))
+        vectors += [np.cross(z, tangents), z]
+    return beam, NodalState(name, np.stack(vectors, axis=1))
+
+
+def _section(rod: Any) -> Circle | GeneralSection:
+    """Return the circle; where the rod is twisted, with the torsional stiffness of its material."""
+    if rod.end_motion is None:
+        return Circle(rod.radius)
+    m, I = rod.material, rod.second_moment_of_area
+    G = m.youngs_modulus / (2 * (1 + _NU))
+    return GeneralSection(rod.area, I, I, 2 * I * m.shear_modulus / G)
 
 
 def _touching(beam: str, rod: Any, obstacle: Any, scenario: Any) -> BeamContact:

@@ -1,24 +1,21 @@
-"""Steps that are known before the run, and steps as large as the tolerances allow.
+"""Fixed and prescribed steps, and adaptive steps as large as the tolerances allow.
 
-Steps that are known before the run: of one size, or between given instants.
+Adaptive steps are accepted if their error e is at most 1.
 
-Steps as large as the tolerances allow.
-
-A step is accepted if its error, e, is at most 1.
-
-**Size of the next step.** Where the step jumps, multipliers and accelerations suffer a transient
-of first order (docs/theory/13-errors.md); where it changes slowly they keep the order of the
-method. So sizes come from a digital filter (H211b of Soderlind 2003, with b = 4), aiming at
-e = 1/2. With p the order of the method
+**Size of the next step.** Where the step jumps, multipliers and accelerations suffer a transient of
+first order (docs/theory/13-errors.md); where it changes slowly they keep the order of the method.
+So sizes come from a digital filter (H211b of Soderlind 2003, with b = 4), aiming at e = 1/2. With p
+the order of the method
 
     h_{n+1}/h_n = (x_n x_{n-1})^(1/8) (h_n/h_{n-1})^(-1/4),     x = (1/(2 e))^(1/p).
 
 The step of a method that bears jumps follows e at once, h_{n+1}/h_n = x_n.
 
-**Errors that no step removes.** Velocities of HHT-I3 meet their constraints up to O(h^2). What a
-long step leaves of them, delta, the next step removes by accelerations of the size delta/h, and e
-of that step, which goes with h a, is the same for every h. Where e does not fall with h the step
-before is repeated with half its size, and if its own e does not fall then, the one before that.
+**Errors that no step removes.** Velocities of HHT-I3 satisfy their constraints up to O(h^2). The
+violation delta that a long step leaves, the next step removes by accelerations of the size delta/h,
+and e of that step, which goes with h a, is the same for every h. Where e does not fall with h the
+step before is repeated with half its size, and if its own e does not fall then, the one before
+that.
 """
 
 from __future__ import annotations
@@ -26,7 +23,6 @@ from __future__ import annotations
 import abc
 import math
 import sys
-from collections import deque
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, final
 
@@ -38,22 +34,28 @@ from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.integrator import require_rtol
 from ancfdae.integrators.pace import Pace
 from ancfdae.integrators.step_control.contracts import (
-    BACK,
     Controller,
     OneStepMethod,
     StepControl,
     Tolerance,
 )
+from ancfdae.kernels import (
+    FILTER,
+    FINISHED,
+    NEVER_SOLVED,
+    PLANNED,
+    judge_step,
+    plan_step,
+)
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.time_grid import next_end
 
-# Steps may miss the end time by this many parts of their number (accumulated round-off).
+# Largest relative difference of the end of the steps from the end time (accumulated round-off).
 _WHOLE = 1e-9
-# Steps that are taken at once.
+# Most steps of one call of the kernel.
 _PACKET = 256
-# A number of steps is exact up to here.
+# Largest number of steps that a float represents exactly.
 _COUNTABLE = 2.0**53
-# A longer list of instants is shortened where it is printed.
+# Most times that are printed; longer lists are shortened.
 _SHOWN = 6
 
 
@@ -74,7 +76,7 @@ class _KnownSteps(StepControl):
     def controller(
         self, t_end: float, method: OneStepMethod[Any], state: tuple[float, ...] = ()
     ) -> Controller:
-        """Return the controller that takes the prescribed steps."""
+        """Return the controller that takes the known steps."""
         t = self.instants(t_end)
         return StepPlan(self.sizes(t), t[1:])
 
@@ -87,22 +89,22 @@ class _KnownSteps(StepControl):
 @final
 @dataclass(frozen=True)
 class FixedSteps(_KnownSteps):
-    """Steps of one size (s); InvalidInputError if it is not positive, or its square is no number.
+    """Steps of one size, s; InvalidInputError if it is not positive, or its square loses precision.
 
-    Where the end time is no whole number of them, all are shorter by the same factor. (One shorter
+    If the end time is not a whole number of steps, all are shorter by the same factor. (One shorter
     last step would cost the multipliers of HHT-I3 their order, docs/theory/13-errors.md.)
     """
 
     step: float
 
     def __post_init__(self) -> None:
-        # Python's numbers: one of NumPy's of single precision would spread its precision.
+        # Converted to a Python float: single precision of NumPy would spread.
         require_positive("FixedSteps.step", self.step)
         require_square("FixedSteps.step", float(self.step))
         object.__setattr__(self, "step", float(self.step))
 
     def count(self, t_end: float) -> int:
-        """Return the number of steps of this size at most."""
+        """Return the number of steps of at most this size to `t_end`, s."""
         require_positive("t_end", t_end)
         steps = t_end / self.step
         if not steps < _COUNTABLE:
@@ -114,14 +116,14 @@ class FixedSteps(_KnownSteps):
         return count
 
     def instants(self, t_end: float) -> Array:
-        """Return multiples of the step, without accumulated round-off."""
+        """Return the times of the steps, (n + 1,), s, without accumulated round-off."""
         count = self.count(t_end)
         if self._is_step(t_end / count):
             return self.step * np.arange(count + 1)
         return np.linspace(0.0, t_end, count + 1)
 
     def sizes(self, t: Array) -> Array:
-        """Return the step, free of the round-off of the instants."""
+        """Return the step size for each step, (n,), s, free of the round-off of the times t."""
         return np.full(len(t) - 1, self._size(t))
 
     def refined(self, t: Array) -> StepControl:
@@ -129,7 +131,7 @@ class FixedSteps(_KnownSteps):
         return FixedSteps(self._size(t) / 2)
 
     def _size(self, t: Array) -> float:
-        """Return the step of a run with the instants t."""
+        """Return the step size of a run with times t; s."""
         taken = float(t[1]) if len(t) > 1 else self.step
         return self.step if self._is_step(taken) else taken
 
@@ -140,10 +142,10 @@ class FixedSteps(_KnownSteps):
 @final
 @dataclass(frozen=True)
 class PrescribedSteps(_KnownSteps):
-    """Steps between given instants, such as those of another run.
+    """Steps between given times, such as the times of another run.
 
-    They increase from 0 on (s); the last one is the end of the run. InvalidInputError if they do
-    not.
+    Times, s, increase from 0; the last one is the end of the run. Raises InvalidInputError
+    otherwise.
     """
 
     times: tuple[float, ...]
@@ -171,7 +173,7 @@ class PrescribedSteps(_KnownSteps):
         return f"PrescribedSteps(times=({first}, ..., {self.times[-1]!r}))"
 
     def count(self, t_end: float) -> int:
-        """Return the number of steps; the end must be the last instant."""
+        """Return the number of steps; `t_end` must be the last of the times."""
         require_positive("t_end", t_end)
         last = self.times[-1]
         if not math.isclose(last, t_end, rel_tol=_WHOLE):
@@ -184,12 +186,12 @@ class PrescribedSteps(_KnownSteps):
         return len(self.times) - 1
 
     def instants(self, t_end: float) -> Array:
-        """Return the given times, shape (n + 1,), s; refuse a run that ends elsewhere."""
+        """Return the given times, (n + 1,), s; InvalidInputError if the run ends elsewhere."""
         self.count(t_end)
         return np.array(self.times)
 
     def sizes(self, t: Array) -> Array:
-        """Return the distances of the instants."""
+        """Return the differences of the times t, (n,); s."""
         return np.diff(t)
 
     def refined(self, t: Array) -> StepControl:
@@ -201,13 +203,13 @@ class PrescribedSteps(_KnownSteps):
 @final
 @dataclass(frozen=True, eq=False)
 class StepPlan(Controller):
-    """Sizes and ends of all steps, of the one that begins at instant n at place n."""
+    """A controller of known steps: sizes and ends of all steps, step n at index n."""
 
     all_sizes: Array
     ends: Array
 
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
-        """Return the step as it is known."""
+        """Return size and end of step n."""
         if n == len(self.ends):
             return Verdict.FINISHED
         return float(self.all_sizes[n]), float(self.ends[n])
@@ -218,47 +220,31 @@ class StepPlan(Controller):
         return self.all_sizes[packet], self.ends[packet]
 
     def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
-        """Go on if the step was solved."""
+        """Return the next step if this one was solved, else NO_CONVERGENCE."""
         return Verdict.NO_CONVERGENCE if error is None else n + 1
 
     def state(self) -> tuple[float, ...]:
-        """Return nothing: the instants say it all."""
+        """Return an empty state: the times determine the steps."""
         return ()
 
 
 def require_square(where: str, value: float) -> None:
-    """Refuse times whose square, or its inverse, is no number of full precision."""
+    """Raise InvalidInputError for times whose square, or its inverse, loses precision."""
     if not sys.float_info.min < value * value < math.inf:
         repair = "Choose units of time in which the run takes 1e-6 to 1e6."
         raise InvalidInputError(where, "must have a square that is a number", value, repair)
 
 
-# Second order asks for a tolerance of the same size where coordinates pass through zero.
+# Least rtol of adaptive steps.
 _LEAST_RTOL = 1e-12
-# Sizes of derivatives need no better tolerance.
+# Tolerance of the rough run that determines sizes of derivatives.
 _ROUGH = 1e-3
-# Instants to allot memory for where their number is not known.
+# Number of rows to reserve if the number of steps is not known.
 _ROWS = 1000
 _AIM = 0.5
-# Exponent 1/b of the filter.
-_FILTER = 0.25
-# What is left per step of the largest e / h^p met.
-_MEMORY = 0.95
-_MOST = 4.0
-# The step changes by less than pi/2 of this part.
-_CHANGE = 0.2
-# A step rejected among the first _RESTART restarts the run: the start is made for its step size.
-_RESTART = 10
-# The last _LAST_STEPS steps change linearly, and their number is fixed, to meet the end without a
-# jump; a method that bears jumps takes _LAST_EQUAL equal steps instead.
-_LAST_STEPS, _LAST_EQUAL = 10, 1
-# Where a step is shorter than the attempt before by the first factor its error is smaller by the
-# second, unless it stems from the state before the step.
-_SHORTER, _SMALLER = 0.7, 0.8
-# A run ends where the step falls below this part of its length, or of the time reached.
-_SMALLEST = 1e-13
-# Numbers of `_Filter.state`.
-_NUMBERS = 8
+#: Numbers of a filter that change in a run and continue it.
+_CHANGING = slice(4, 12)
+_NUMBERS = _CHANGING.stop - _CHANGING.start
 
 
 @final
@@ -269,20 +255,20 @@ class AdaptiveSteps(StepControl):
     Parameters
     ----------
     rtol : float
-        What the errors of all steps may add up to, relative to the size of every vector (slope,
-        or position from the mean position at the start); the step follows from it. The run errs
+        Bound of the sum of the errors of all steps, relative to the size of every vector (slope, or
+        position from the mean position at the start); the step sizes follow from it. The run errs
         by up to 10 times as much (docs/theory/13-errors.md).
     atol : float, optional
         The same relative to the size of the coordinates at the start (`Scales`), for coordinates
         that pass through zero; by default rtol. With `sensitivities` also relative to the size of
         each derivative: the smaller, the shorter the first steps, where they are zero.
     max_steps : int
-        Steps, repeated ones included, before a run ends with an outcome.
+        Largest number of steps, rejected ones included, after which a run ends with an outcome.
     sensitivities : bool
-        Whether the tolerance also bounds the errors of the design derivatives q_b, each relative
-        to its largest size in the run. They are then always integrated with the
-        motion, after a run that determines their sizes. Without it gradients of undamped waves can
-        be wrong by any factor of the tolerance (docs/reports/work-precision).
+        Whether the tolerance also bounds the errors of the design derivatives q_b, each relative to
+        its largest size in the run. They are then always integrated with the motion, after a run
+        that determines their sizes. Without it gradients of undamped waves can be wrong by any
+        factor of the tolerance (docs/reports/work-precision).
     """
 
     kind: ClassVar[str] = "controlled"
@@ -304,11 +290,11 @@ class AdaptiveSteps(StepControl):
         require_kind(where, self.sensitivities, (bool,), "True or False.")
 
     def rough(self) -> AdaptiveSteps:
-        """Return the control of the run from which the sizes of the derivatives are read."""
+        """Return the control of the rough run that determines the sizes of the derivatives."""
         return replace(self, rtol=max(self.rtol, _ROUGH), atol=None, sensitivities=False)
 
     def count(self, t_end: float) -> int:
-        """Return a guess of the number of rows to reserve: the steps are not known."""
+        """Return a guess of the number of rows to reserve, because the steps are not known."""
         require_positive("t_end", t_end)
         require_square("t_end", float(t_end))
         return _ROWS
@@ -319,13 +305,13 @@ class AdaptiveSteps(StepControl):
         return Tolerance(self.rtol, atol, t_end, sizes, sizes_b)
 
     def continues(self, t: Array, state: tuple[float, ...], t_end: float) -> bool:
-        """Whether the state is one of the filter."""
+        """Return whether the state is that of a digital filter, which can continue any run."""
         return len(state) == _NUMBERS
 
     def controller(
         self, t_end: float, method: OneStepMethod[Any], state: tuple[float, ...] = ()
     ) -> Controller:
-        """Return the digital filter; the first step has half the error that it aims at."""
+        """Return the digital filter; the first step has half the error at which it aims."""
         if state:
             return _Filter(method, 0.0, t_end, self.max_steps, state)
         e, longest = method.start_error(), t_end / 20
@@ -337,7 +323,7 @@ class AdaptiveSteps(StepControl):
         return np.diff(t)
 
     def frozen(self, t: Array) -> StepControl:
-        """Return the instants; of a run that never left its start, control of the motion."""
+        """Return steps at the times t; after a run without steps, control of the motion alone."""
         return (
             PrescribedSteps(tuple(t.tolist())) if len(t) > 1 else replace(self, sensitivities=False)
         )
@@ -349,7 +335,10 @@ class AdaptiveSteps(StepControl):
 
 @final
 class _Filter(Controller):
-    """The digital filter of the module description, which tries the step `first` first."""
+    """The digital filter of the module, which tries `first`, s, as first step.
+
+    Its formulas are in `kernels/control.h`; they read and change `numbers` (`StepFilter` there).
+    """
 
     def __init__(
         self,
@@ -359,102 +348,41 @@ class _Filter(Controller):
         max_steps: int,
         state: tuple[float, ...] = (),
     ) -> None:
-        self._order, self._bears_jumps = method.order, method.bears_jumps
-        self._last_steps = _LAST_EQUAL if method.bears_jumps else _LAST_STEPS
-        self._t_end, self._max_steps = t_end, max_steps
-        self._breakpoints = method.system.breakpoints(t_end)
-        self._h = self._start = first
-        self._taken = 0
-        # Sizes and errors of the last steps; instant, size and error of an attempt to be repeated.
-        self._accepted = deque[tuple[float, float]](maxlen=BACK)
-        self._tried = (-1, 0.0, 0.0)
-        self._last_wish = self._last_ratio = 1.0
-        self._memory = 0.0
-        self._remaining, self._last_h = 0, self._h
+        self.stops = np.array(method.system.breakpoints(t_end), dtype=float)
+        self.numbers = np.zeros(FILTER)
+        self.numbers[:4] = method.order, method.bears_jumps, t_end, max_steps
+        # Size, first size, wish, ratio, memory, last size, steps tried, steps left to the end.
+        self.numbers[_CHANGING] = state or (first, first, 1.0, 1.0, 0.0, first, 0.0, 0.0)
         self._pace = Pace(t_end, method.many, method.remedy)
-        if state:
-            self._h, self._start, self._last_wish, self._last_ratio, self._memory = state[:5]
-            self._last_h, taken, remaining = state[5:]
-            self._taken, self._remaining = int(taken), int(remaining)
 
     def state(self) -> tuple[float, ...]:
         """Return the numbers of the filter that change in a run, to continue it."""
-        sizes = self._h, self._start, self._last_wish, self._last_ratio, self._memory
-        return *sizes, self._last_h, float(self._taken), float(self._remaining)
+        return tuple(self.numbers[_CHANGING].tolist())
 
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
-        """Return the proposed step; the last ones before an end change linearly."""
-        if t >= self._t_end:
-            return Verdict.FINISHED
-        if self._taken >= self._max_steps:
-            return Verdict.STEP_LIMIT
-        stop = next_end(self._breakpoints, t, self._t_end)
-        left = stop - t
-        if self._remaining == 0 and left < (self._last_steps + 0.5) * self._h:
-            self._remaining = max(1, math.ceil(left / self._h * (1 - 1e-9)))
-        count = self._remaining
-        if count == 1:
-            return left, stop
-        h = self._h
-        if count > 0:
-            # Sizes h_0 (1 + c j), j = 1 .. count, with the sum that is left.
-            h = self._last_h * (1 + 2 * (left / self._last_h - count) / (count * (count + 1)))
-        end = t + h
-        # What the instants will say, so that a run over given ones repeats this one.
-        return end - t, end
+        """Return the proposed step; the last steps before an end change linearly."""
+        planned, h, end = plan_step(self.numbers, self.stops, t)
+        if planned == PLANNED:
+            return h, end
+        return Verdict.FINISHED if planned == FINISHED else Verdict.STEP_LIMIT
 
     def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
         """Compare the error of the step with the tolerance, and choose the next size."""
-        self._taken += 1
-        if error is None:
-            return self._reject(n, t, h / 4, Verdict.NO_CONVERGENCE)
-        at, longer, larger = self._tried
-        stays = n == at and h < _SHORTER * longer and error > _SMALLER * larger
-        if stays and error > _AIM / 2 and self._accepted:
-            return self._back(n)
-        if not error <= 1.0:
-            self._tried = (n, h, error)
-            factor = _root(_AIM / error, self._order) if error < math.inf else 0.0
-            return self._reject(n, t, h * min(0.9, max(0.2, factor)), Verdict.ERROR_TEST)
-        # What the error estimates passes through zero; without memory the step would grow far too
-        # much there.
-        before = 0.0 if self._bears_jumps else _MEMORY * self._memory
-        self._memory = max(error / h**self._order, before)
-        wish = _MOST
-        if self._memory > 0:
-            wish = _root(_AIM / (self._memory * h**self._order), self._order)
-        ratio = min(wish, _MOST)
-        if not self._bears_jumps:
-            ratio = (wish * self._last_wish) ** (_FILTER / 2) * self._last_ratio**-_FILTER
-            ratio = 1 + _CHANGE * math.atan((ratio - 1) / _CHANGE)
-        self._last_wish, self._last_ratio = wish, ratio
-        self._remaining = max(self._remaining - 1, 0)
-        self._h, self._last_h = h * ratio, h
-        self._accepted.append((h, error))
-        return Verdict.ERROR_TEST if self._pace.stalls(t + h) else n + 1
-
-    def _back(self, n: int) -> int:
-        """Repeat the step before with half its size."""
-        h, error = self._accepted.pop()
-        self._tried = (n - 1, h, error)
-        self._h = self._last_h = 0.5 * h
-        self._last_wish, self._last_ratio, self._remaining = 1.0, 1.0, 0
-        return n - 1
-
-    def _reject(self, n: int, t: float, h: float, why: Verdict) -> int | Verdict:
-        """Choose a smaller step; near the start, which is made for its step, begin anew with it."""
-        if h <= _SMALLEST * max(t, self._t_end):
-            return why
-        anew = n <= _RESTART and not self._bears_jumps
-        if anew:
-            h = self._start = min(h, 0.5 * self._start)
-            self._memory = 0.0
-        self._h = self._last_h = h
-        self._last_wish, self._last_ratio, self._remaining = 1.0, 1.0, 0
-        if anew:
-            self._accepted.clear()
+        judged = judge_step(self.numbers, n, t, h, error)
+        if judged < 0:
+            return Verdict.NO_CONVERGENCE if judged == NEVER_SOLVED else Verdict.ERROR_TEST
+        if judged == 0:
             self._pace.restart(0.0)
-        return 0 if anew else n
+        return Verdict.ERROR_TEST if judged > n and self._pace.stalls(t + h) else judged
+
+    def passed(self, ends: Array, anew: bool) -> int:
+        """Return how many accepted steps, which end at the times `ends`, pass the check of pace."""
+        for k, end in enumerate(ends.tolist()):
+            if self._pace.stalls(end):
+                return k
+        if anew:
+            self._pace.restart(0.0)
+        return len(ends)
 
 
 def _root(x: float, order: int) -> float:

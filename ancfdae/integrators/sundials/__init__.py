@@ -1,1 +1,1 @@
-"""IDA and IDAS of SUNDIALS on index-reduced equations."""
+"""The integrators IDA and IDAS of SUNDIALS, on index-reduced equations of motion."""

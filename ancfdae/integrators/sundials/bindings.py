@@ -1,7 +1,7 @@
-"""Memory of IDAS and the callbacks that it calls; the one place that imports sundials4py.
+"""Memory and callbacks of the solver IDAS; the only module that imports sundials4py.
 
-It has no wheel for Python 3.11. Callbacks run inside C code, through which no exception may pass:
-`Guard` keeps the first one and answers with a return code.
+The package has no wheel for Python 3.11. Callbacks run inside C code, through which no exception
+may pass: `Guard` stores the first one and returns an error code.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _FAILURES = {
 @final
 @dataclass(frozen=True)
 class Bindings:
-    """Modules of the package sundials4py."""
+    """The modules `core` and `idas` of the package sundials4py."""
 
     core: Any
     idas: Any
@@ -57,37 +57,37 @@ class Bindings:
         return Bindings(core, idas)
 
     def vector(self, context: Any, values: Any) -> Any:
-        """Return a new N_Vector with these values."""
+        """Return a new N_Vector that holds `values`."""
         vector = self.core.N_VNew_Serial(len(values), context)
         self.core.N_VGetNumpyArray(vector)[:] = values
         return vector
 
     def array(self, vector: Any) -> Any:
-        """Return a view; it is invalid once the vector is freed."""
+        """Return a view of an N_Vector as an array; it is invalid once the vector is freed."""
         return self.core.N_VGetNumpyArray(vector)
 
     def check(self, flag: int) -> None:
-        """Refuse a return code of a set-up call that is an error."""
+        """Raise AncfdaeError if the return code of a set-up call of IDAS is an error."""
         if flag < 0:
             name = self.idas.IDAGetReturnFlagName(flag)
             raise AncfdaeError(f"IDAS: a call to set it up failed with {name}. Please report this.")
 
 
 def verdict(flag: int) -> Verdict:
-    """Translate the return code of a failed step."""
+    """Return why a step failed, from the return code of IDA or IDAS."""
     return _FAILURES.get(flag, Verdict.NO_CONVERGENCE)
 
 
 @final
 class Guard:
-    """Runs callbacks and keeps what they raise."""
+    """Runs Python callbacks inside C code and stores the exceptions that they raise."""
 
     def __init__(self) -> None:
         self._error: BaseException | None = None
         self._not_finite = False
 
     def callback(self, evaluate: Callable[..., None]) -> Callable[..., int]:
-        """Wrap a function for C code; not finite is a recoverable failure."""
+        """Wrap a function for C code; NotFinite is a recoverable failure, others are fatal."""
 
         def run(*arguments: Any) -> int:
             try:
@@ -103,7 +103,7 @@ class Guard:
         return run
 
     def raise_kept(self) -> bool:
-        """Raise what a callback raised since the last call; return whether one was not finite."""
+        """Raise the exception of a callback since the last call; return whether one met NaN."""
         error, self._error = self._error, None
         not_finite, self._not_finite = self._not_finite, False
         if error is not None:
@@ -113,18 +113,18 @@ class Guard:
 
 # The bindings offer dense matrices only; this many unknowns take 200 MB.
 _MOST_UNKNOWNS = 5000
-# Safety factor of the Newton test against the error test. With the 0.33 of IDAS what the iteration
-# leaves behind upsets the error estimate: a Cartesian pendulum takes 1.5 to 2 times the steps and
-# ends 10 to 50 times further off, at every tolerance from 1e-6 to 1e-12.
+# Safety factor of the Newton test against the error test. With the 0.33 of IDAS the remaining
+# residual disturbs the error estimate: a Cartesian pendulum takes 1.5 to 2 times the steps and its
+# error is 10 to 50 times larger, at every tolerance from 1e-6 to 1e-12.
 _NEWTON = 0.01
 
 
 @final
 class IdasEquations:
-    """Memory of IDAS for a form started at y and y', and the callbacks that it calls.
+    """Memory of IDAS for an index-reduced form started at y and y', and the callbacks it calls.
 
     The functions of IDAS take `memory` as first argument and write their results to y and yp;
-    `last` is the largest entry of the last finite residual.
+    `last` is the largest entry of the last finite scaled residual (dimensionless).
     """
 
     def __init__(

@@ -1,12 +1,11 @@
-"""IDA of SUNDIALS (scikit-sundae) on index-reduced equations.
+"""The integrator IDA of SUNDIALS (package scikit-sundae) on index-reduced equations.
 
-Sensitivities are appended to the system and error-controlled with it. The iteration matrix is
-exact for the states; the blocks that couple the sensitivities to them are one-sided differences
-of that matrix along the sensitivities, which affects the convergence of Newton's method only.
+Sensitivities are appended to the system and error-controlled with it. The iteration matrix is exact
+for the states; the blocks that couple the sensitivities to them are one-sided differences of that
+matrix along the sensitivities, which affects the convergence of Newton's method only.
 
-What the wrapper does not guard against is guarded here: steps are taken one
-by one and counted, a solver that has not factorised is never freed, views are copied, residuals
-that are not finite end the run.
+Guards that the wrapper lacks: steps are taken one by one and counted, a solver that has not
+factorised is never freed, views are copied, residuals that are not finite end the run.
 
 scikit-sundae prints error messages and has no switch for it; they are kept off the terminal: the
 outcome of a run reports the same.
@@ -32,15 +31,15 @@ from ancfdae.integrators.sundials.index_reduced import ColumnStorage, StepPoints
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
 
-# How scikit-sundae begins what it prints.
+# Start of every message that scikit-sundae prints.
 _MESSAGE = "\n[IDA"
 
 
 @contextmanager
 def without_messages() -> Iterator[None]:
-    """Drop what SUNDIALS prints inside the block; whatever else is printed comes through."""
+    """Suppress messages that SUNDIALS prints inside the block; other output is printed."""
     stream = sys.stdout
-    if isinstance(stream, _Unmessaged):  # Another thread is at it.
+    if isinstance(stream, _Unmessaged):  # Another thread suppresses messages already.
         stream = stream.stream
     if stream is not None:
         sys.stdout = _Unmessaged(stream)
@@ -52,13 +51,13 @@ def without_messages() -> Iterator[None]:
 
 @final
 class _Unmessaged:
-    """A stream without messages of SUNDIALS."""
+    """An output stream that drops messages of SUNDIALS."""
 
     def __init__(self, stream: TextIO) -> None:
         self.stream, self._dropped = stream, False
 
     def write(self, text: str) -> int:
-        """Write the text, unless it is a message or the line end after one."""
+        """Write the text, unless it is a message of SUNDIALS or the line end after one."""
         message = text.startswith(_MESSAGE)
         if message or (self._dropped and text == "\n"):
             self._dropped = message
@@ -70,7 +69,7 @@ class _Unmessaged:
         return getattr(self.stream, name)
 
 
-# Relative change of the design for the coupling blocks of the iteration matrix.
+# Relative change of a design variable in the differences that give the coupling blocks.
 _CHANGE = 1e-6
 # Unknowns up to which the matrix is dense: a factorisation of SuperLU_MT starts a thread, which
 # takes a millisecond however small the matrix.
@@ -87,17 +86,17 @@ class IDA(SundialsIntegrator):
 
     The error of a run is 10 to 200 times `rtol`: 1e-8 is good for a cross-check, 1e-10 for a
     reference. A small system takes 10,000 steps in a second. Parameters: see `HighOrder`, and
-    `form`, of `IndexReduction`.
+    `IndexReduction` for `form`.
     """
 
     def start(self, problem: InitialValueProblem, t_end: float, quadrature: Quadrature) -> March:
-        """Set up a run by IDA from the start of the system."""
+        """Set up a run by IDA from the consistent start of the system."""
         return _IdaMarch(self, problem, t_end, quadrature)
 
 
 @final
 class _IdaMarch(March):
-    """One run of IDA; the vector y holds the states and then one block per design variable."""
+    """One run of IDA; the vector y holds the scaled states, then a block per design variable."""
 
     def __init__(
         self, settings: IDA, problem: InitialValueProblem, t_end: float, quadrature: Quadrature
@@ -215,14 +214,14 @@ class _IdaMarch(March):
 
 
 def _keep(solver: Any) -> None:
-    """Add a reference that nobody holds: the solver is not freed, not even at exit.
+    """Add a reference to a solver, so that it is never freed, not even at exit.
 
-    Freed before its first factorisation, it ends the process (its linear solver then frees
-    memory that it never got). A solver whose first step fails is therefore left in memory.
+    Freed before its first factorisation, it ends the process (its linear solver then frees memory
+    that it never got). A solver whose first step fails is therefore left in memory.
     """
     ctypes.pythonapi.Py_IncRef(ctypes.py_object(solver))
 
 
 def _release(solver: Any) -> None:
-    """Remove the extra reference after a successful step."""
+    """Remove the extra reference to a solver after its first successful step."""
     ctypes.pythonapi.Py_DecRef(ctypes.py_object(solver))

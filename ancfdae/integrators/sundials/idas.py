@@ -1,23 +1,22 @@
 """IDAS of SUNDIALS (sundials4py): staggered forward sensitivities, and the adjoint.
 
-The adjoint of a run of IDAS (IDAA): forward with checkpoints, then backward.
+Forward: the stabilised index-2 or the index-1 form with `IDASensInit` in the staggered mode and the
+sensitivities in the error test, so that every design variable costs one more solve with the matrix
+of the states.
 
-The backward problem is the adjoint of the index-1 form, where a and lam are functions of (q, v, b,
-t). With the covectors p_q, p_v of q_b and v_b, the objective int H(q, v, lam) dt, and on_q, on_v
-and on_b what p_v on a and H_lam on lam are pulled back to (`AccelerationsAdjoint`),
+Adjoint of a run (IDAA): forward with checkpoints, then backward. The backward problem is the
+adjoint of the index-1 form, where a and lam are functions of (q, v, b, t). With the adjoint vectors
+p_q, p_v of q and v, the objective int H(q, v, lam) dt, and on_q, on_v and on_b the results of
+`AccelerationsAdjoint` for p_v on a and H_lam on lam,
 
     p_q' = -on_q - H_q,    p_v' = -p_q - on_v - H_v,
 
-and the gradient is int (on_b) dt + p_q(0) q_b(0) + p_v(0) v_b(0). A value at one instant adds its
+and the gradient is int (on_b) dt + p_q(0) q_b(0) + p_v(0) v_b(0). A value at one time adds its
 partials to p_q and p_v there, that in lam through the same pull-back: the backward run is started
 again. It is scaled so that its tolerances are pure numbers: with P the sum of the sizes of the
 objective's partials,
 
     y = [p_q S_q, p_v S_v] / P,        quadrature  on_b b / P.
-
-Forward: the stabilised index-2 or the index-1 form with `IDASensInit` in the staggered mode and
-the sensitivities in the error test, so that every design variable costs one more solve with the
-matrix of the states.
 """
 
 from dataclasses import dataclass
@@ -39,14 +38,14 @@ from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid, next_end
 
-# Steps between two checkpoints; the states between them are kept in memory.
+# Number of steps between two checkpoints; IDAS stores the states between them in memory.
 _CHECKPOINT = 250
 _SMALL = 1e-2
 
 
 @final
 class AdjointSeeds:
-    """Derivatives of the objective at a time: densities of integrals, and values at times."""
+    """Partial derivatives of an objective in the states: at output times, and in integrands."""
 
     def __init__(self, problem: InitialValueProblem, solution: Solution, seeds: Seeds) -> None:
         system, s = problem.system, problem.scales
@@ -68,7 +67,7 @@ class AdjointSeeds:
         )
 
     def density(self, t: Array, q: Array, v: Array, lam: Array) -> list[Array]:
-        """H_q, H_v and H_lam at states, one row each."""
+        """Return summed partials H_q, H_v, (k, n_q), and H_lam, (k, n_lam), of the integrands."""
         total = [np.zeros((len(t), x.shape[1])) for x in self.rows]
         for weight, density in self._densities:
             for H, partial in zip(total, density.partials(t, q, v, lam), strict=True):
@@ -103,7 +102,7 @@ class BackwardRun:
         self._quadrature: Any = None
 
     def gradient(self) -> Array:
-        """Return the gradient without the explicit partial; may raise PassFailed."""
+        """Return the gradient, (n_b,), without the explicit partial in b; may raise PassFailed."""
         p, on_b = np.zeros(self._n), np.zeros(self._problem.system.n_b)
         if self._seeds.size == 0.0 or len(on_b) == 0:
             return on_b
@@ -141,7 +140,7 @@ class BackwardRun:
     # -- backward ------------------------------------------------------------------------------
 
     def _back(self, t: float, stop: float, p: Array) -> tuple[Array, Array]:
-        """Integrate from t back to `stop`; return p there and the quadrature."""
+        """Integrate the adjoint vector p from t back to `stop`; return it and int on_b dt."""
         total = np.zeros(self._problem.system.n_b)
         while t - stop > 1e-12 * self._t_end:
             before = [t - x for x in self._breakpoints]
@@ -151,7 +150,7 @@ class BackwardRun:
         return p, total
 
     def _back_smoothly(self, t: float, stop: float, p: Array) -> tuple[Array, Array]:
-        """Integrate from t back to `stop`, between which all is smooth."""
+        """Integrate as `_back` does, over a time span without a breakpoint of a law."""
         bindings, idas, check = self._bindings, self._bindings.idas, self._bindings.check
         y = p * self._scale
         yp = self._rates(t, *self._states_at_instant(t), p)[0] * self._scale
@@ -202,7 +201,7 @@ class BackwardRun:
         return AccelerationsAdjoint(system, accelerations.factors(t, q), state)
 
     def _rates(self, t: float, q: Array, v: Array, p: Array) -> tuple[Array, Array]:
-        """Return the rates of the adjoint vector p and of the gradient at time t."""
+        """Return the rates of the adjoint vector p, (2 n_q,), and of the gradient, (n_b,)."""
         at, n_q = self._at(t, q, v), self._problem.system.n_q
         densities = self._seeds.density(np.array([t]), q[None], v[None], at.state.lam[None])
         H_q, H_v, H_lam = (H[0] for H in densities)
@@ -210,7 +209,7 @@ class BackwardRun:
         return np.concatenate([-on_q - H_q, -p[:n_q] - on_v - H_v]), on_b
 
     def _jump(self, instant: int) -> tuple[Array, Array]:
-        """Return the jumps of the adjoint vector p and of the gradient at a recorded time."""
+        """Return the jumps of the adjoint vector p and of the gradient at output time `instant`."""
         q, v, t = (x[instant] for x in (self._solution.q, self._solution.v, self._solution.t))
         on_q, on_v, on_lam = (x[instant] for x in self._seeds.rows)
         *through, on_b = self._at(float(t), q, v).pull_back(np.zeros_like(on_q), on_lam)
@@ -226,7 +225,7 @@ class BackwardRun:
 
     def _integrand(self, t: float, y: Any, yp: Any, z: Any, zp: Any, out: Any, _: Any) -> None:
         array = self._bindings.array
-        # This is called once or twice a step; IDAS itself counts from checkpoint to checkpoint.
+        # IDAS calls this once or twice a step; its own limit counts from checkpoint to checkpoint.
         self._calls += 1
         stalls, limit = self._pace.stalls(self._t_end - t), 2 * self._max_steps
         if stalls or self._calls > limit:
@@ -248,20 +247,20 @@ class BackwardRun:
 @final
 @dataclass(frozen=True, repr=False)
 class IDAS(SundialsIntegrator, AdjointIntegrator):
-    """Variable-order BDF of SUNDIALS with its own sensitivity analysis.
+    """Variable-order BDF of SUNDIALS with the sensitivity analysis of IDAS.
 
     Needs the package sundials4py (Python 3.12 or newer) when it runs, or raises
-    MissingPackageError. Parameters: `form`, and those of `HighOrder`.
+    MissingPackageError. Parameters: see `HighOrder`, and `IndexReduction` for `form`.
     """
 
     def start(self, problem: InitialValueProblem, t_end: float, quadrature: Quadrature) -> March:
-        """Set up a run by IDAS from the start of the system."""
+        """Set up a run by IDAS from the consistent start of the system."""
         return _IdasMarch(Bindings.load(), self, problem, t_end, quadrature)
 
     def pull_back(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds, progress: bool = False
     ) -> Array:
-        """Return the gradient of an objective by the adjoint with checkpoints."""
+        """Return the gradient of an objective, (n_b,), by the adjoint with checkpoints (IDAA)."""
         t_end = float(solution.t[-1])
         problem = InitialValueProblem.of(system, t_end).differentiated()
         form = self.form.form(system, problem.scales)
@@ -270,7 +269,7 @@ class IDAS(SundialsIntegrator, AdjointIntegrator):
 
 @final
 class _IdasMarch(March):
-    """One forward run of IDAS."""
+    """One forward run of IDAS, with sensitivities if the problem is differentiated."""
 
     def __init__(
         self,
@@ -325,7 +324,7 @@ class _IdasMarch(March):
         self._points.finish()
 
     def _reached(self, t: float) -> tuple[Array, Array]:
-        """Return copies of y and y' after a step to t, their sensitivities appended."""
+        """Return copies of y and y' after a step to t, with their sensitivities appended."""
         array = self._bindings.array
         y, yp = (array(x).copy() for x in (self._equations.y, self._equations.yp))
         if self._m == 0:
@@ -334,7 +333,7 @@ class _IdasMarch(March):
         return np.append(y, Y), np.append(yp, Yp)
 
     def _sensitivities(self, t: float, k: int) -> Array:
-        """Time derivatives of order k of the sensitivities, shape (m, n)."""
+        """Return k-th time derivatives of the m scaled sensitivities at time t, shape (m, n)."""
         rows = np.empty((self._m, self._form.n))
         for i, row in enumerate(rows):
             self._bindings.check(

@@ -14,23 +14,22 @@ velocity. Index 1, x = [q, v, lam]:
     M v' + Phi_q^T lam - Q      = 0
     Phi_q v' - gamma            = 0.
 
-The design derivatives X = dx/db solve F_x X + F_x' X' + F_b = 0, and the iteration matrix is
-J = F_x + c_j F_x'. With dPhi_q/dt and d^2Phi_q/dt^2 taken along the motion,
+The design derivatives X = dx/db solve F_x X + F_x' X' + F_b = 0, and the iteration matrix is J =
+F_x + c_j F_x'. With dPhi_q/dt and d^2Phi_q/dt^2 taken along the motion,
 
     (Phi_q v - nu)_q = dPhi_q/dt,   (Phi_q a - gamma)_q = d^2Phi_q/dt^2,   gamma_v = -2 dPhi_q/dt.
 
-Unknowns and equations are scaled, and positions count from the place of the system (`Scales`), so
-that tolerances are pure numbers that do not depend on where a scene stands.
+Unknowns and equations are scaled, and positions count from the mean position of the start
+(`Scales.place`), so that tolerances are pure numbers, independent of where a scene stands.
 
-Points between the steps of SUNDIALS, for integrals beside the motion.
-
-Within a step of length h, from its ends and with s = (t - t_n) / h,
+Integrals need the motion between the steps of SUNDIALS. Within a step of length h, from its ends
+and with s = (t - t_n) / h,
 
     q = q_n + H (q_n+1 - q_n) + h (G_0 v_n + G_1 v_n+1) + h^2 (F_0 a_n + F_1 a_n+1),
     v = dq/dt,
 
-the quintic polynomials that take q, v and a at both ends: of order six, above that of the solver
-(five). Asking the solver for states within every step would cost as much as its steps.
+the quintic polynomials that match q, v and a at both ends: of order six, one more than the
+solver's. Asking the solver for states within every step would cost as much as its steps.
 """
 
 import abc
@@ -52,18 +51,18 @@ from ancfdae.integrators.start import InitialSensitivity, InitialState
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import SparsityPattern
 
-# Below round-off of a double, with what an integrator of order five needs on top.
+# Least relative tolerance: with a smaller one round-off would dominate the error of a step.
 _LEAST_RTOL = 1e-13
-# Absolute tolerance of multipliers, in their own scale: so loose that they stay out of the error
-# test (any of 1 to 1e6 will do). They must where they are of index 2. In the index-1 form the test
-# would stop at every jump of a force, and cost up to twice the steps for no better digits.
+# Absolute tolerance of multipliers, in their own scale: so loose that the error test ignores them
+# (any of 1 to 1e6 will do), as it must where they are of index 2. In the index-1 form the test
+# would stop at every jump of a force, and cost up to twice the steps without a smaller error.
 _LOOSE = 1e3
 # Absolute tolerance of coordinates and velocities relative to their scale, per unit of rtol.
 _SMALL = 1e-2
 
 
 class _Unknowns(NamedTuple):
-    """Parts of x, x' or their derivatives; eta is empty in the index-1 form."""
+    """The parts q, v, lam, eta of x, x' or their derivatives; eta is empty in the index-1 form."""
 
     q: Array
     v: Array
@@ -72,7 +71,7 @@ class _Unknowns(NamedTuple):
 
 
 class _Instant(NamedTuple):
-    """A system at x and x', with Phi_q there."""
+    """A system with its unknowns x and x' at time t (s), and the entries of Phi_q there."""
 
     system: MechanicalSystem
     t: float
@@ -82,11 +81,10 @@ class _Instant(NamedTuple):
 
 
 class IndexReduced(abc.ABC):
-    """An index-reduced form of one system in n unknowns; arguments and results are scaled.
+    """An index-reduced form F(t, x, x') = 0 of a system; its arguments and results are scaled.
 
-    Unknown positions count from `place`, (n_q,).
-
-    J has raw entries at `rows` and `columns`; those at one position add up.
+    Positions among the n unknowns count from `place`, (n_q,). The iteration matrix J has raw
+    entries at `rows` and `columns`; entries at the same position add up.
     """
 
     def __init__(self, system: MechanicalSystem, scales: Scales) -> None:
@@ -107,19 +105,19 @@ class IndexReduced(abc.ABC):
         self.columns = np.concatenate([columns for _, columns in blocks])
         self._factors = self._size[self.columns] / self._unit[self.rows]
 
-    # -- what a form states --------------------------------------------------------------------
+    # -- equations of a form -------------------------------------------------------------------
 
     @abc.abstractmethod
     def _scaling(self) -> tuple[Array, Array]:
-        """Sizes of the unknowns and of the equations, shape (n,)."""
+        """Return the scales of the unknowns and of the equations, shape (n,) each."""
 
     @abc.abstractmethod
     def _residual(self, at: _Instant) -> list[Array]:
-        """Return the terms that F adds to q' - v, and the rows of F below the rows of forces."""
+        """Return the term that F adds to q' - v, and the rows of F below the force rows."""
 
     @abc.abstractmethod
     def _residual_b(self, at: _Instant, X: _Unknowns, Xp: _Unknowns) -> list[Array]:
-        """Differentiate `_residual`: F_x X + F_x' X' + F_b, with n_b columns."""
+        """Return F_x X + F_x' X' + F_b of the module, n_b columns, in the rows of `_residual`."""
 
     @abc.abstractmethod
     def _blocks(self) -> list[tuple[Array, Array]]:
@@ -127,11 +125,11 @@ class IndexReduced(abc.ABC):
 
     @abc.abstractmethod
     def _entries(self, at: _Instant, c_j: float) -> list[Array]:
-        """Return the entries of the blocks of J that only this form has, as `_blocks` has them."""
+        """Return the entries of the blocks of J that only this form has, as in `_blocks`."""
 
     @final
     def tolerances(self, rtol: float) -> Array:
-        """Return absolute tolerances of scaled unknowns, (n,); they control q and v only."""
+        """Return absolute tolerances of the scaled unknowns, (n,); they control q and v only."""
         tested = 2 * self._system.n_q
         return np.repeat([_SMALL * rtol, _LOOSE], [tested, self.n - tested])
 
@@ -139,7 +137,7 @@ class IndexReduced(abc.ABC):
 
     @final
     def residual(self, t: float, y: Array, yp: Array) -> Array:
-        """Return the residual F(t, y, y') of the form of reduced index, shape (n,)."""
+        """Return the scaled residual F(t, y, y') of this form, shape (n,)."""
         system, at = self._system, self._at(self._system, t, y, yp)
         x, xp = at.x, at.xp
         drift, *sides = self._residual(at)
@@ -151,7 +149,7 @@ class IndexReduced(abc.ABC):
     def residual_b(self, t: float, y: Array, yp: Array, Y: Array, Yp: Array) -> Array:
         """Return the residual of the sensitivity equations, shape (n, n_b).
 
-        Column i of Y is the derivative in ln b_i (in b_i where it is zero), scaled as y.
+        Column i of Y is the derivative of y in ln b_i (in b_i where that is zero).
         """
         system, at, b = self._system, self._at(self._system, t, y, yp), self._scales.b
         X, Xp = (self._split(Z * self._size[:, None] / b) for Z in (Y, Yp))
@@ -167,7 +165,7 @@ class IndexReduced(abc.ABC):
     def jacobian(
         self, t: float, y: Array, yp: Array, c_j: float, system: MechanicalSystem | None = None
     ) -> Array:
-        """Return the raw entries of J; of another system of the same kind if one is given."""
+        """Return the raw entries of J; of another system of the same structure if it is given."""
         at = self._at(system or self._system, t, y, yp)
         states = (z[None] for z in (at.x.q, at.x.v, at.xp.v, at.x.lam))
         local = at.system.linearise(np.array([t]), *states)
@@ -180,34 +178,34 @@ class IndexReduced(abc.ABC):
 
     @final
     def start(self, initial: InitialState) -> tuple[Array, Array]:
-        """Return y and y' of a consistent start."""
+        """Return the scaled unknowns y and y' of a consistent start, shape (n,) each."""
         q = initial.q - self.place
         y, yp = self._vectors(q, initial.v, initial.a, initial.lam)
         return y / self._size, yp / self._size
 
     @final
     def start_b(self, initial: InitialSensitivity) -> tuple[Array, Array]:
-        """Return Y and Y' of a consistent start, shape (n, n_b)."""
+        """Return the scaled sensitivities Y and Y' of a consistent start, (n, n_b) each."""
         Y, Yp = self._vectors(*initial)
         factor = self._scales.b / self._size[:, None]
         return Y * factor, Yp * factor
 
     @final
     def coordinates(self, y: Array) -> tuple[Array, Array]:
-        """Return q and v, shape (..., n_q), of unknowns, shape (..., n)."""
+        """Return q and v, shape (..., n_q), of scaled unknowns y, shape (..., n)."""
         q, v = self.unscaled(y)
         return q + self.place, v
 
     @final
     def unscaled(self, y: Array) -> tuple[Array, Array]:
-        """Return q - p and v, or rates or derivatives of q and v, (..., n_q), of (..., n)."""
+        """Return q - p and v, or their rates or derivatives, (..., n_q), from scaled (..., n)."""
         n_q = self._system.n_q
         x = y[..., : 2 * n_q] * self._size[: 2 * n_q]
         return x[..., :n_q], x[..., n_q:]
 
     @final
     def coordinates_b(self, Y: Array) -> tuple[Array, Array]:
-        """Return q_b and v_b, shape (n_q, n_b)."""
+        """Return q_b and v_b, shape (n_q, n_b), of scaled sensitivities Y, shape (n, n_b)."""
         q, v = self.unscaled(Y.T)
         return self.per_design(q), self.per_design(v)
 
@@ -217,7 +215,7 @@ class IndexReduced(abc.ABC):
         return np.asarray(np.swapaxes(x, -1, -2) / self._scales.b)
 
     def _vectors(self, q: Array, v: Array, a: Array, lam: Array) -> tuple[Array, Array]:
-        """Pack x and x' at the start; multipliers start with derivative zero."""
+        """Return x and x' of a start from its parts; multipliers have the rate zero."""
         rest = np.zeros((self.n - 2 * len(q) - len(lam), *q.shape[1:]))
         y = np.concatenate([q, v, lam, rest])
         yp = np.concatenate([v, a, np.zeros_like(lam), rest])
@@ -236,7 +234,7 @@ class IndexReduced(abc.ABC):
 
 @final
 class StabilisedIndex2(IndexReduced):
-    """Gear-Gupta-Leimkuhler form, x = [q, v, lam, eta]."""
+    """Stabilised index-2 form of Gear, Gupta and Leimkuhler, x = [q, v, lam, eta]."""
 
     def _scaling(self) -> tuple[Array, Array]:
         s = self._scales
@@ -280,7 +278,7 @@ class StabilisedIndex2(IndexReduced):
 
 @final
 class Index1(IndexReduced):
-    """Constraints differentiated twice, x = [q, v, lam]; positions drift."""
+    """Index-1 form, with constraints differentiated twice, x = [q, v, lam]; positions drift."""
 
     def _scaling(self) -> tuple[Array, Array]:
         s = self._scales
@@ -306,13 +304,13 @@ class Index1(IndexReduced):
 
 
 class IndexReduction(Enum):
-    """Forms of the equations whose index SUNDIALS solves."""
+    """Index-reduced forms of the equations of motion that IDA and IDAS can solve."""
 
     STABILISED_INDEX_2 = "positions and velocities on the constraints (Gear-Gupta-Leimkuhler)"
     INDEX_1 = "accelerations on the constraints; positions drift"
 
     def form(self, system: MechanicalSystem, scales: Scales) -> IndexReduced:
-        """Return the equations of a system in this form."""
+        """Return the equations of motion of a system in this index-reduced form."""
         if self is IndexReduction.INDEX_1:
             return Index1(system, scales)
         return StabilisedIndex2(system, scales)
@@ -320,7 +318,7 @@ class IndexReduction(Enum):
 
 @dataclass(frozen=True, repr=False)
 class SundialsIntegrator(HighOrder):
-    """An integrator of SUNDIALS for equations of reduced index."""
+    """An integrator of SUNDIALS for the index-reduced equations `form`."""
 
     form: IndexReduction = IndexReduction.STABILISED_INDEX_2
 
@@ -332,9 +330,9 @@ class SundialsIntegrator(HighOrder):
 
 @final
 class ColumnStorage:
-    """Compressed sparse columns of the matrix of a form with m sensitivity equations.
+    """Compressed sparse columns of the iteration matrix with m sensitivity equations.
 
-    J and its copies stand on the diagonal, blocks with the pattern of J below the first one.
+    J stands on the diagonal m + 1 times; blocks with the pattern of J stand below the first one.
     """
 
     def __init__(self, form: IndexReduced, m: int) -> None:
@@ -350,16 +348,16 @@ class ColumnStorage:
         self._index = self._pattern.index(columns, rows)
 
     def sparsity(self) -> tuple[Array, Array]:
-        """Return rows and columns of the stored entries."""
+        """Return rows and columns of the stored entries of the iteration matrix."""
         return self._pattern.columns, self._pattern.rows
 
     def values(self, J: Array, below: list[Array]) -> Array:
-        """Return the stored entries from raw entries of the blocks."""
+        """Return the stored entries from raw entries of J and of the blocks below it."""
         raw = np.concatenate([J, *below, *([J] * len(below))])
         return np.bincount(self._index, raw, minlength=self._pattern.size)
 
 
-# Coefficients of H, G_0, G_1, F_0 and F_1 of s^0 to s^5.
+# Coefficients of s^0 to s^5 in the quintics H, G_0, G_1, F_0 and F_1 (rows).
 _QUINTIC = np.array(
     [
         [0, 0, 0, 10, -15, 6],
@@ -373,13 +371,13 @@ _QUINTIC_SLOPE = _QUINTIC[:, 1:] * np.arange(1, 6)
 # Panels per step: where high-frequency modes limit the step and the integrand is smooth, one panel
 # over many steps is enough. One panel in every step sees none of the kinks between the quintics.
 _PANELS_PER_STEP = (1 / 8, 1, 4, 8)
-# Steps that are taken in together, and numbers that their points may take.
+# Most steps that are added to the integrals in one batch, and most numbers that their points hold.
 _STEPS, _NUMBERS = 128, 5_000_000
 
 
 @final
 class StepPoints:
-    """Collects steps, with m sensitivities, and hands their points to the integrals."""
+    """Collects steps of SUNDIALS, with m sensitivities, and passes points to the integrals."""
 
     def __init__(self, form: IndexReduced, quadrature: Quadrature, m: int) -> None:
         self._form, self._quadrature, self._m = form, quadrature, m
@@ -391,11 +389,11 @@ class StepPoints:
 
     @property
     def wanted(self) -> bool:
-        """Whether steps are to be added."""
+        """Whether there are integrals, for which steps must be collected."""
         return self._quadrature.wanted
 
     def add(self, t: float, y: Array, yp: Array) -> None:
-        """Take in a step, or the start; the arrays, shape ((m + 1) n,), are kept."""
+        """Store a step to t, or the start; y and yp, shape ((m + 1) n,), are not copied."""
         self._t.append(t)
         self._y.append(y)
         self._yp.append(yp)
@@ -403,7 +401,7 @@ class StepPoints:
             self.finish()
 
     def finish(self) -> None:
-        """Hand the collected points to the integrals; their last point starts the next part."""
+        """Pass the stored steps to the integrals; the end of the last step starts the next part."""
         if len(self._t) > 1:
             t, y, yp = np.array(self._t), self._unscaled(self._y), self._unscaled(self._yp)
             y[0][:, 0] += self._form.place
@@ -425,7 +423,7 @@ class StepPoints:
             yield Points(KRONROD, h, *self._motion(times.ravel(), *within))
 
     def _unscaled(self, rows: list[Array]) -> tuple[Array, Array]:
-        """Return q - p and v, or their rates, and sensitivities, shape (steps, m + 1, n_q)."""
+        """Return q - p and v, or their rates, with sensitivities, shape (steps, m + 1, n_q)."""
         return self._form.unscaled(np.array(rows).reshape(len(rows), self._m + 1, -1))
 
     def _motion(self, t: Array, q: Array, v: Array) -> Trajectory:
@@ -434,7 +432,7 @@ class StepPoints:
 
 
 def _panels(t: Array, per_step: float) -> Array:
-    """Return ends of panels of several steps, or of parts of steps."""
+    """Return the ends of quadrature panels, s: `per_step` panels per step, or less than one."""
     if per_step < 1:
         return np.append(t[: -1 : round(1 / per_step)], t[-1])
     share = np.arange(round(per_step)) / per_step
@@ -444,7 +442,7 @@ def _panels(t: Array, per_step: float) -> Array:
 def _between(
     times: Array, t: Array, step: Array, q: Array, data: tuple[Array, ...]
 ) -> tuple[Array, Array]:
-    """Return coordinates and velocities at times within steps, by quintics."""
+    """Return coordinates and velocities at `times` by the quintics of steps `step`, (k, ...)."""
     h = np.diff(t)[step]
     powers = ((times - t[step]) / h)[:, None] ** np.arange(6)
     units = np.stack([np.ones_like(h), h, h, h**2, h**2])

@@ -24,7 +24,7 @@ from ancfdae.numerics.time_grid import box_rule
 from ancfdae.numerics.vector_formulas import cross
 
 _SOME = "Use at least one element; 100 are many."
-# Places in matrices are numbers of 32 bits: an element in space has 24^2 of them.
+# Indices of matrix entries are numbers of 32 bits; a spatial element has 24^2 entries.
 _MOST_ELEMENTS = 2**31 // 24**2
 
 
@@ -44,7 +44,7 @@ class Beam(BeamBody):
     elements : int
         Number of equal elements.
     section : Section or sequence of Section
-        One for the beam or one per element, which may differ in their sizes.
+        One section for the whole beam, or one per element; these may differ in their sizes.
     material : Material or sequence of Material
     height_axis : sequence of float, optional
         Spatial beams: direction of the section's height; its part along the beam is removed.
@@ -59,16 +59,16 @@ class Beam(BeamBody):
         Rotation of the whole beam about its start, a number in the plane and in space a vector
         along the axis; rad. Design targets: ``turn``, in space ``turn_x`` ..., and ``start_x`` ...
     rigid : bool, optional
-        Whether it does not deform: the scene then pays for a rigid body of the same mass only.
+        Whether the beam does not deform: it then has the coordinates of a rigid body of its mass.
     kinks : sequence of float, optional
         Fractions of the length, at inner nodes, where the slope along the beam may jump
-        (dimensionless): it has one on either side,
-        while position and section are shared. Nodes that a joint, load or point mass acts on have
-        that anyway: shear and axial forces jump there, and the deflection is of second order in the
-        element length or better. Declare more where sections or materials change from one element
-        to the next, or to have the same coordinates with and without such a load. Forces between
-        nodes are smeared over elements, and the deflection under them is of first order. Not of a
-        cable, whose slopes carry bending.
+        (dimensionless): the elements on either side have slopes of their own there and share
+        position and section. Nodes that a joint, load or point mass acts on always are kinks: shear
+        and axial forces jump there, and the error of the deflection is of second order in the
+        element length or better. Declare further kinks where sections or materials change from one
+        element to the next, or to have the same coordinates with and without such a load. Forces
+        between nodes are smeared over elements: the error of the deflection is of first order. Must
+        be empty for a cable, whose slopes carry bending.
     initial_strain : float, optional
         Strain along the axis that the beam has in the reference configuration already, as if it had
         been stretched to its length there: positive in tension, N = E A initial_strain. A change of
@@ -116,7 +116,7 @@ class Beam(BeamBody):
 
     @property
     def element_count(self) -> int:
-        """Number of elements of the beam."""
+        """Number of elements of the beam, all of equal length."""
         return int(self.elements)
 
     @property
@@ -126,7 +126,7 @@ class Beam(BeamBody):
 
     @property
     def place(self) -> Sequence[float] | MaterialPoint:
-        """Start of the centre line, shape (d,); m."""
+        """Start of the centre line: a position, shape (d,), m, or the point of another beam."""
         return self.start
 
     @property
@@ -136,7 +136,7 @@ class Beam(BeamBody):
 
     @cached_property
     def _reference(self) -> ReferenceShape:
-        """The straight reference configuration: nodes, directions and fractions."""
+        """Straight reference configuration: element lengths, node slopes and chords."""
         n, frame = self.element_count, self._frame()
         return ReferenceShape(
             lengths=np.full(n, self.length / n),
@@ -146,18 +146,22 @@ class Beam(BeamBody):
         )
 
     def with_length(self, length: float) -> Beam:
-        """Return the same beam with its end moved along its axis."""
+        """Return the same beam with another length, m: its end moves along its axis."""
         require_positive(f"{self.name}.length", length)
         end = self._origin + length * self._frame()[0]
         return replace(self, end=tuple(end.tolist()))
 
     def with_place(self, place: Sequence[float]) -> Beam:
-        """Return the same beam, moved to start at another place."""
+        """Return the same beam moved so that its start is at `place`, shape (d,); m."""
         end = np.asarray(place, float) + self._span
         return replace(self, start=tuple(place), end=tuple(end.tolist()))
 
     def with_elements(self, count: int) -> Beam:
-        """Return the same beam with another number of elements, with sections by place."""
+        """Return the same beam with `count` equal elements.
+
+        Each new element takes section and material of the old elements that it covers. Raises
+        InvalidInputError if those differ within one new element.
+        """
         require_count(f"beam {self.name!r}, elements", count, _SOME, _MOST_ELEMENTS)
         ends = [k * self.element_count for k in range(count + 1)]
         places = [slice(a // count, -(-b // count)) for a, b in pairwise(ends)]
@@ -179,7 +183,7 @@ class Beam(BeamBody):
 
     @property
     def _origin(self) -> Array:
-        """Position from which `end` counts: the origin, or the point of a body at `start`."""
+        """Position that `end` is relative to, (d,): `start`, or zero if `start` is a point."""
         return (
             np.zeros(self.dimension)
             if isinstance(self.start, MaterialPoint)
@@ -209,7 +213,7 @@ class Beam(BeamBody):
             require_vector(f"beam {self.name!r}, height_axis", self.height_axis, (3,))
             given = np.asarray(self.height_axis, dtype=float)
             across = given - (given @ axis) * axis
-            # 1e-8: below the square root of round-off the direction left over is noise.
+            # 1e-8: below the square root of round-off the remaining direction is only round-off.
             if np.linalg.norm(across) <= 1e-8 * np.linalg.norm(given):
                 raise InvalidInputError(
                     f"beam {self.name!r}, height_axis",
@@ -389,7 +393,7 @@ class CurvedBeam(BeamBody):
 
     @cached_property
     def _reference(self) -> ReferenceShape:
-        """The curved reference configuration: nodes, directions and fractions."""
+        """Curved reference configuration: element lengths, node slopes and chords."""
         steps, slopes = np.diff(self.positions, axis=0), self.frames
         lengths = _arc_lengths(steps, slopes[:-1, 0], slopes[1:, 0])
         return ReferenceShape(lengths, slopes, steps / lengths[:, None], False)
@@ -400,21 +404,22 @@ class CurvedBeam(BeamBody):
         return tuple(self.positions[0].tolist())
 
     def with_place(self, place: Sequence[float]) -> CurvedBeam:
-        """Return the same beam, moved to start at another place."""
+        """Return the same beam moved so that its first node is at `place`, shape (d,); m."""
         return replace(self, positions=self.positions - self.positions[0] + np.asarray(place))
 
     def with_length(self, length: float) -> CurvedBeam:
-        """Return the beam with its centre line scaled about its start."""
+        """Return the same beam scaled about its first node to another arc length; m."""
         require_positive(f"{self.name}.length", length)
         first, factor = self.positions[0], length / self.length
         return replace(self, positions=first + factor * (self.positions - first))
 
 
 def _arc_lengths(steps: Array, tangents_1: Array, tangents_2: Array) -> Array:
-    """Lengths l that equal the arc length of the cubic they define, by fixed-point iteration.
+    """Return the element lengths, shape (n,), m, equal to the arc length of the cubic they define.
 
-    r,x = s5'(xi)/l (r_2 - r_1) + s2' r_x1 + s6' r_x2 and l = int |r,x| l dxi. The map contracts
-    by about the squared turning angle of the element over 30, so a few sweeps reach round-off.
+    Fixed-point iteration of l = int |r,x| l dxi with r,x = s5'(xi)/l (r_2 - r_1) + s2' r_x1 + s6'
+    r_x2. The map contracts by about the squared turning angle of the element over 30, so that a few
+    sweeps reach round-off.
     """
     points, weights = box_rule((12,))
     xi = points[:, 0]

@@ -1,4 +1,4 @@
-"""Base class of beams: reference shape, sections, materials."""
+"""Base class of straight and curved beams: reference shape, sections and materials."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from ancfdae.model.sections.section import Section
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.rotations import orthonormal
 
-# Parameters of every beam as a user writes them; the sizes of its section follow.
+# Design parameters of every beam by the name in targets; the sizes of its section are added.
 _PARAMETERS = {
     "youngs_modulus": ElementParameter.YOUNGS_MODULUS,
     "poisson_ratio": ElementParameter.POISSON_RATIO,
@@ -42,9 +42,9 @@ _SIZES = tuple(each for each in ElementParameter if each.is_size)
 @final
 @dataclass(frozen=True)
 class ReferenceShape:
-    """Reference configuration of a beam of n elements.
+    """Reference configuration of a beam of n elements, first node at the origin, not rotated.
 
-    It stands with its first node at the origin, before the turn of the beam.
+    The position of the beam and its rotation `turn` are applied afterwards (`Placed`).
     """
 
     lengths: Array  # (n,): element lengths
@@ -63,11 +63,11 @@ class ReferenceShape:
 class BeamBody(Placed):
     """Base class of straight and curved beams; name and turn as in `Placed`."""
 
-    element: BeamElement  # the element that models it
+    element: BeamElement  # the type of element that discretises the beam
     energy: (
         StrainEnergyFunction | None
-    )  # how it resists strain; None for elements with a law of their own
-    # One for the beam or one per element, which may differ in their sizes.
+    )  # strain energy function; None for elements that define their own, such as cables
+    # One section for the beam or one per element; these may differ in their sizes.
     section: Section | Sequence[Section]
     material: Material | Sequence[Material]  # one for the beam or one per element
     rigid: bool  # whether it has the coordinates of a rigid body instead of those of its elements
@@ -83,14 +83,14 @@ class BeamBody(Placed):
     @cached_property
     @abc.abstractmethod
     def _reference(self) -> ReferenceShape:
-        """The reference configuration."""
+        """Reference configuration of the beam; cached."""
 
     def reference(self) -> ReferenceShape:
-        """Return the reference configuration: nodes, directions and lengths of elements."""
+        """Return the reference configuration of the beam: its lengths, slopes and chords."""
         return self._reference
 
     def at_origin(self, point: MaterialPoint) -> Array:
-        """Return the place of a point from the vectors at both ends of its element."""
+        """Return the reference position of a point of a beam that starts at the origin, (d,); m."""
         shape, n_s = self.reference(), self.element.n_s
         fraction = require_fraction(str(point), point.fraction)
         k, xi = locate(shape.fractions, fraction, point.before)
@@ -105,16 +105,16 @@ class BeamBody(Placed):
         """Return the same beam, stretched from its start to another total length."""
 
     def with_elements(self, count: int) -> BeamBody:
-        """Return the same beam with another number of elements.
+        """Return the same beam with `count` elements.
 
-        InvalidInputError if an element of the new mesh had two sections or materials, or nodes are
-        given.
+        InvalidInputError if an element of the new mesh had two sections or materials, or if the
+        nodes of the beam are given one by one (`CurvedBeam`).
         """
         rule, repair = "its nodes are given one by one", "Declare it with other nodes."
         raise InvalidInputError(f"beam {self.name!r}, elements", rule, count, repair)
 
     def directions(self) -> Array:
-        """Return the axes of the beam as a rigid body, (d, d): the rows of its first section."""
+        """Return the axes of the beam as a rigid body, (d, d): the slopes of its first section."""
         return orthonormal(self.reference().slopes[0])
 
     @property
@@ -139,18 +139,18 @@ class BeamBody(Placed):
         return MaterialPoint(self.name, fraction, y, z, before=before)
 
     def inner_nodes(self, fractions: Iterable[float]) -> set[int]:
-        """Return the numbers of the inner nodes at some of the fractions."""
+        """Return the indices of the inner nodes that lie at one of the arc-length `fractions`."""
         nodes, n = self.reference().fractions, self.element_count
         places = [locate(nodes, fraction) for fraction in fractions]
         return {element for element, xi in places if xi == 0.0 and 0 < element < n}
 
     def with_kinks(self, nodes: Iterable[int]) -> BeamBody:
-        """Return the same beam with kinks declared at these inner nodes."""
+        """Return the same beam with kinks declared at the inner nodes of these indices."""
         kinks = self.reference().fractions[sorted(nodes)].tolist()
         return replace(self, kinks=tuple(kinks))  # type: ignore[type-var]
 
     def parameter_names(self) -> dict[str, ElementParameter]:
-        """Return the design targets of the beam, as ``"rod.height"``, with their columns."""
+        """Return the columns of the beam's design parameters by name, such as ``"height"``."""
         strain = {} if self.rigid else {"initial_strain": ElementParameter.INITIAL_STRAIN}
         return _PARAMETERS | strain | dict(zip(self._section().size_names(), _SIZES, strict=False))
 
@@ -171,21 +171,21 @@ class BeamBody(Placed):
         return parameters
 
     def element_type(self) -> ElementType:
-        """Return the type of element of all elements; it has no energy if the beam is rigid."""
+        """Return the type that all elements share; without strain energy if the beam is rigid."""
         energy = None if self.rigid else self.energy
         return ElementType(self._section(), energy, self.reference().straight)
 
     def half_extents(self, elements: Array) -> tuple[float, float]:
-        """Half of the height and of the width that enclose the sections of some elements; m."""
+        """Return half the largest height and width of the sections of these elements; m."""
         y, z = np.max([self._per_element()[0][k].half_extents for k in elements], axis=0)
         return float(y), float(z)
 
     def with_values(self, changes: Iterable[tuple[str, int | None, float]]) -> BeamBody:
-        """Return the same beam with (parameter, element, value) changed together.
+        """Return the same beam with design parameters changed: (parameter, element, value) each.
 
-        The element is None where the parameter changes everywhere. InvalidInputError if a value is
-        not admissible for its parameter, sizes of a section do not fit together or an element does
-        not exist; UnknownNameError if the beam has no parameter of that name.
+        The element is None to change the parameter along the whole beam. InvalidInputError if a
+        value is not admissible for its parameter, sizes of a section do not fit together or an
+        element does not exist; UnknownNameError if the beam has no parameter of that name.
         """
         names, placement = self.parameter_names(), self.placement()
         changes = tuple(changes)
@@ -207,7 +207,10 @@ class BeamBody(Placed):
         return replace(beam, section=sections, material=materials)  # type: ignore[type-var]
 
     def refuse_values(self, changes: Sequence[tuple[str, int | None, float]]) -> None:
-        """Raise what `with_values` raises; of constants of elements without making the beam."""
+        """Raise the exceptions of `with_values` for these changes.
+
+        Sizes and material constants are checked without making the beam.
+        """
         names, others = self.parameter_names(), ("length", "initial_strain")
         if any(name in others or name not in names for name, _, _ in changes):
             self.with_values(changes)
@@ -220,12 +223,12 @@ class BeamBody(Placed):
             return
         numbers = {name: value for name, _, value in changes}
         for material in {id(x): x for x in self._per_element()[1]}.values():
-            replace(material, **numbers)  # Refuses what no material has.
+            replace(material, **numbers)  # Raises InvalidInputError for inadmissible constants.
 
     def _with_constants(
         self, changes: Sequence[tuple[str, int | None, float]]
     ) -> tuple[Sequence[Section], Sequence[Material]]:
-        """Return sections and materials with sizes and constants of elements changed together."""
+        """Return sections and materials, one per element, with sizes and constants changed."""
         names, (sections, materials) = self.parameter_names(), self._per_element()
         sizes: list[dict[str, float]] = [{} for _ in sections]
         numbers: list[dict[str, float]] = [{} for _ in materials]
@@ -235,7 +238,7 @@ class BeamBody(Placed):
         return _changed(sections, sizes), _changed(materials, numbers)
 
     def check_target(self, parameter: str, element: int | None) -> None:
-        """Refuse a design target that this beam does not have."""
+        """Raise UnknownNameError or InvalidInputError unless the beam has this design target."""
         names, placement = self.parameter_names(), self.placement()
         if parameter not in names and parameter not in placement:
             known = (f"{self.name}.{name}" for name in (*names, *placement))
@@ -365,7 +368,7 @@ _Numbered = TypeVar("_Numbered", Section, Material)
 
 
 def _changed(parts: list[_Numbered], numbers: list[dict[str, float]]) -> tuple[_Numbered, ...]:
-    """Return sections or materials with changed numbers; equal elements share one object."""
+    """Return copies of sections or materials with changed numbers; equal elements share one."""
     made: dict[tuple[object, ...], _Numbered] = {}
     changed = []
     for part, its in zip(parts, numbers, strict=True):

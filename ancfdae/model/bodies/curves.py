@@ -3,7 +3,7 @@
 A frame has the unit tangent in its first row. In the plane the second points to the left. In space
 the section does not turn about the tangent along the curve (rotation-minimising frames). On an arc
 the angle between its height and the plane of the arc is constant. On another curve the frame is
-carried on by double reflection, of fourth order in the distance of neighbouring places (W. Wang,
+carried on by double reflection, of fourth order in the distance of neighbouring points (W. Wang,
 B. Juttler, D. Zheng, Y. Liu, ACM Transactions on Graphics 27, 2008).
 """
 
@@ -19,9 +19,9 @@ from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import box_rule
 
-# Below the square root of round-off a direction that is left over is noise.
+# A remaining direction below the square root of round-off, relative to the whole, is round-off.
 _NOISE = 1e-8
-# Places between neighbouring points at which frames are carried on and lengths are tabulated.
+# Intervals between neighbouring points on which frames are carried on and lengths are tabulated.
 _FINE = 32
 
 
@@ -31,7 +31,11 @@ def arc(
     elements: int,
     height_axis: Sequence[float] | None,
 ) -> tuple[Array, Array]:
-    """Return nodes, (n + 1, d), and frames of the circular arc through start, middle and end."""
+    """Return node positions, (n + 1, d), m, and frames, (n + 1, d, d), of a circular arc.
+
+    `ends` are its start, a middle point and its end. Raises InvalidInputError if they lie in one
+    line.
+    """
     require_count(f"{where}, elements", elements, "An element may turn by a tenth of a radian.")
     for name, point in zip(("start", "middle", "end"), ends, strict=True):
         require_vector(f"{where}, {name}", point, (len(tuple(ends[0])),))
@@ -77,9 +81,10 @@ def through(
     elements: int | None,
     height_axis: Sequence[float] | None,
 ) -> tuple[Array, Array]:
-    """Return nodes, (n + 1, d), and frames of the cubic spline through points, shape (k, d).
+    """Return node positions, (n + 1, d), m, and frames, (n + 1, d, d), of a spline through points.
 
-    Its parameter is the length of the chords. The points are the nodes if `elements` is None.
+    The cubic spline through `points`, shape (k, d), has the length of the chords as its parameter.
+    The points are the nodes if `elements` is None.
     """
     points = require_array(f"{where}, points", points)
     if points.ndim != 2 or len(points) < 2 or points.shape[1] not in (2, 3):
@@ -123,7 +128,7 @@ def _planar(where: str, tangents: Array, height_axis: Sequence[float] | None) ->
 
 
 def _lengths(curve: scipy.interpolate.CubicSpline, places: Array) -> Array:
-    """Return the lengths of a curve from its begin to places, shape (k,)."""
+    """Return the arc lengths of a curve from its start to parameter values, shape (k,); m."""
     points, weights = box_rule((6,))
     steps = np.diff(places)
     speeds = _norms(curve(places[:-1, None] + steps[:, None] * points[:, 0], 1))
@@ -135,13 +140,13 @@ def _norms(vectors: Array) -> Array:
 
 
 def _default_height(tangent: Array) -> Array:
-    """Return the height of a straight beam along the tangent, a direction of shape (3,)."""
+    """Return the height direction of a straight spatial beam along `tangent`, shape (3,)."""
     along_z = abs(tangent[2]) > 1.0 - _NOISE
     return np.cross((0.0, 1.0, 0.0) if along_z else (0.0, 0.0, 1.0), tangent)
 
 
 def _across(where: str, axis: Sequence[float] | Array, tangent: Array) -> Array:
-    """Return the unit vector along the part of an axis across the tangent, shape (3,)."""
+    """Return the unit vector of `axis` projected perpendicular to `tangent`, shape (3,)."""
     require_vector(f"{where}, height_axis", axis, (3,))
     given = np.asarray(axis, dtype=float)
     across = given - (given @ tangent) * tangent
@@ -152,7 +157,10 @@ def _across(where: str, axis: Sequence[float] | Array, tangent: Array) -> Array:
 
 
 def _carried(places: Array, tangents: Array, height: Array) -> Array:
-    """Return heights carried along a curve without a turn about its tangent, shape (k, 3)."""
+    """Return the height directions of rotation-minimising frames along a curve, shape (k, 3).
+
+    `height` is the first; double reflection carries it from point to point of the curve.
+    """
     heights = [height]
     for chord, before, after in zip(
         np.diff(places, axis=0), tangents[:-1], tangents[1:], strict=True
@@ -163,5 +171,5 @@ def _carried(places: Array, tangents: Array, height: Array) -> Array:
 
 
 def _reflected(x: Array, normal: Array) -> Array:
-    """Return a vector reflected in the plane across a normal of any length, shape (3,)."""
+    """Return x mirrored in the plane perpendicular to `normal` (of any length), shape (3,)."""
     return np.asarray(x - 2 * (normal @ x) / (normal @ normal) * normal)

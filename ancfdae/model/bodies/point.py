@@ -18,17 +18,18 @@ class MaterialPoint:
     Parameters
     ----------
     beam : str
-        Name of the beam or the body.
+        Name of the beam or rigid body that the point belongs to.
     fraction : float, optional
         Arc-length fraction along the beam, 0 at the start, 1 at the end; None for a body.
     y, z : float
-        Offset from the centre line along the section's axes, or place along the axes of the body;
-        m.
+        Offset from the centre line along the section's axes, or coordinates along the axes of the
+        body; m.
     x : float
-        Place along the first axis of the body; m. Zero for a beam.
+        Coordinate along the first axis of the body; m. Zero for a beam.
     before : bool
-        At an inner node of a beam: whether its slope along the beam and its forces are those of
-        the element that ends there. By default they are those of the one that begins there.
+        At an inner node of a beam: whether the point takes its slope along the beam and its
+        section forces from the element that ends there. By default from the element that begins
+        there.
 
     Raises
     ------
@@ -77,7 +78,7 @@ class MaterialPoint:
 
 
 def require_point(where: str, point: object, dimension: int = 3) -> None:
-    """Refuse another object than a `MaterialPoint`, and z other than 0 in a planar scene."""
+    """Raise InvalidInputError unless `point` is a `MaterialPoint`, in a planar scene with z = 0."""
     require_kind(
         where, point, (MaterialPoint,), "Write beam.at_end, beam.at(fraction) or body.at(x, y)."
     )
@@ -87,7 +88,7 @@ def require_point(where: str, point: object, dimension: int = 3) -> None:
 
 
 def require_fraction(where: str, fraction: float | None) -> float:
-    """Return a fraction along a beam; InvalidInputError if it is None or outside [0, 1]."""
+    """Return the arc-length fraction; InvalidInputError if it is None or outside [0, 1]."""
     if fraction is None or not 0.0 <= fraction <= 1.0:
         raise InvalidInputError(
             where,
@@ -99,16 +100,17 @@ def require_fraction(where: str, fraction: float | None) -> float:
 
 
 def locate(nodes: Array, fraction: float, before: bool = False) -> tuple[int, float]:
-    """Return the element and its xi at a fraction of a beam with nodes at these fractions.
+    """Return the element index and xi at an arc-length fraction of a beam.
 
-    An inner node is the start of an element, or if asked for the end of the one before.
+    `nodes` are the fractions of its nodes, shape (n + 1,). An inner node is the start of the
+    element behind it, or with `before` the end of the element before it.
     """
     n = len(nodes) - 1
     element = min(int(np.searchsorted(nodes, fraction, side="right")) - 1, n - 1)
     span = nodes[element + 1] - nodes[element]
     xi = float((fraction - nodes[element]) / span)
-    # A fraction such as 1/3 of three elements means the node, not a point 1e-16 beside it: those of
-    # nodes are sums of up to n lengths over their total, each with a round-off of n eps / 2.
+    # A fraction such as 1/3 of three elements means the node, not a point 1e-16 beside it: node
+    # fractions are sums of up to n lengths over their total, each with a round-off of n eps / 2.
     near = 2 * n * np.finfo(float).eps / span
     if xi > 1.0 - near:
         element, xi = (element + 1, 0.0) if element + 1 < n else (element, 1.0)
@@ -118,7 +120,7 @@ def locate(nodes: Array, fraction: float, before: bool = False) -> tuple[int, fl
 
 
 def require_in_section(where: str, point: MaterialPoint, half: tuple[float, float]) -> None:
-    """Refuse a point off the section, half of whose height and width are given."""
+    """Raise InvalidInputError if a point lies outside the section of these half extents; m."""
     # Widened by round-off, so that the surface belongs to the beam.
     if abs(point.y) > half[0] * (1 + 1e-12) or abs(point.z) > half[1] * (1 + 1e-12):
         raise InvalidInputError(

@@ -1,6 +1,6 @@
-"""A rigid body: a reference point, the directions of its axes, and shapes of one density.
+"""Rigid bodies: a reference point, directions of the body axes, and mass or a shape with density.
 
-It has a place and a turn about it, both design targets.
+Position and rotation about the reference point are design targets.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from ancfdae.numerics.rotations import orthonormal
 
 
 class Placed(abc.ABC):
-    """A part of a scene with a place and a rotation, which are design targets."""
+    """Base class of beams and rigid bodies: position and rotation, both design targets."""
 
     name: str
-    # Turn of the whole body about its place: in space a vector along the axis; rad.
+    # Rotation of the whole body about its position: in space a vector along the axis; rad.
     turn: float | Sequence[float]
-    place_word: ClassVar[str] = "start"  # what targets of the place begin with
+    place_word: ClassVar[str] = "start"  # first word of the design targets of the position
 
     @property
     @abc.abstractmethod
@@ -44,24 +44,24 @@ class Placed(abc.ABC):
     @property
     @abc.abstractmethod
     def place(self) -> Sequence[float] | MaterialPoint:
-        """Where its first point stands: a place, or a point of another beam."""
+        """Position of the start or reference point, shape (d,), m, or the point of another beam."""
 
     @abc.abstractmethod
     def with_place(self, place: Sequence[float]) -> Self:
-        """Return the same body, moved to another place."""
+        """Return the same body with its start or reference point at `place`, shape (d,); m."""
 
     @abc.abstractmethod
     def at_origin(self, point: MaterialPoint) -> Array:
-        """Return the place of a point of the body where it stands at the origin, not turned."""
+        """Return the position, (d,), m, of a point of the body at the origin and not rotated."""
 
     @property
     def attached(self) -> MaterialPoint | None:
-        """The point of another body that it starts at, None if it stands at a place."""
+        """The point of another beam that the body starts at; None if the body has a position."""
         place = self.place
         return place if isinstance(place, MaterialPoint) else None
 
     def placement(self) -> dict[str, float]:
-        """Return the numbers that say where the body stands, by the names of their targets."""
+        """Return rotation, rad, and, unless attached, position, m, of the body by target name."""
         turns = np.atleast_1d(np.asarray(self.turn, float)).tolist()
         names = ["turn"] if self.dimension == 2 else [f"turn_{axis}" for axis in "xyz"]
         numbers = dict(zip(names, turns, strict=True))
@@ -71,16 +71,17 @@ class Placed(abc.ABC):
         return numbers
 
     def split_placement(self, numbers: Array) -> tuple[Array | None, Array]:
-        """Return place and turn out of numbers that begin with the numbers of `placement`.
+        """Return position, shape (d,), and rotation out of `numbers`, ordered as in `placement`.
 
-        The place is None where it is a point of another body.
+        Further numbers may follow. The position is None for a body attached to a point of another
+        beam.
         """
         n_r = 1 if self.dimension == 2 else 3
         place = None if self.attached else numbers[n_r : n_r + self.dimension]
         return place, numbers[:n_r]
 
     def with_placement(self, changes: Mapping[str, float]) -> Self:
-        """Return the same body with numbers of its `placement` changed."""
+        """Return the same body with some of the numbers of `placement` changed."""
         numbers = np.array(list((self.placement() | dict(changes)).values()))
         place, turn = self.split_placement(numbers)
         body = self if place is None else self.with_place(tuple(place.tolist()))
@@ -97,16 +98,17 @@ class Placed(abc.ABC):
 
 
 class BodyShape(Designable, abc.ABC):
-    """A solid that is symmetric to the planes of its axes, so that these are principal ones.
+    """A solid that is symmetric about its three coordinate planes: its axes are principal axes.
 
     In a planar scene it is the same solid, seen along z.
     """
 
     @abc.abstractmethod
     def moments(self, p: Array) -> tuple[Array, Array]:
-        """Return the volume, and the means of x^2, y^2 and z^2 over it, shape (3,).
+        """Return the volume, m^3, and the means of x^2, y^2 and z^2 over it, shape (3,); m^2.
 
-        `p` has the values of `parameters`; complex ones must go through.
+        `p` holds the values of `parameters`, real or complex (complex steps differentiate the
+        result).
         """
 
     def __post_init__(self) -> None:
@@ -130,14 +132,14 @@ class RigidBox(BodyShape):
     design_fields = tuple((name, require_positive) for name in ("length", "height", "width"))
 
     def moments(self, p: Array) -> tuple[Array, Array]:
-        """Return the volume, and the means of x^2, y^2, z^2, shape (3,): a^2 / 12 for side a."""
+        """Return volume, m^3, and means of x^2, y^2, z^2, (3,), m^2: a^2/12 for side length a."""
         return p[0] * p[1] * p[2], p * p / 12
 
 
 @final
 @dataclass(frozen=True)
 class RigidCylinder(BodyShape):
-    """A cylinder about z, a disc in the plane: `radius` and `length` along z; m, design targets."""
+    """A cylinder about z (in the plane a disc): `radius`, `length` along z; m, design targets."""
 
     radius: float
     length: float
@@ -145,7 +147,7 @@ class RigidCylinder(BodyShape):
     design_fields = tuple((name, require_positive) for name in ("radius", "length"))
 
     def moments(self, p: Array) -> tuple[Array, Array]:
-        """Return the volume, and means, (3,): r^2 / 4 across the axis, l^2 / 12 along it."""
+        """Return volume, m^3, and means of x^2, y^2, z^2, (3,), m^2: r^2/4 across, l^2/12 along."""
         across = p[0] ** 2 / 4
         return np.pi * p[0] ** 2 * p[1], np.stack([across, across, p[1] ** 2 / 12])
 
@@ -160,11 +162,11 @@ class RigidSphere(BodyShape):
     design_fields = (("radius", require_positive),)
 
     def moments(self, p: Array) -> tuple[Array, Array]:
-        """Return the volume, and the means of x^2, y^2, z^2, shape (3,): r^2 / 5."""
+        """Return volume, m^3, and means of x^2, y^2, z^2, (3,), m^2: each r^2/5."""
         return 4 / 3 * np.pi * p[0] ** 3, np.repeat(p**2 / 5, 3)
 
 
-# Directions that are perpendicular and of unit length up to this are meant to be.
+# Largest error of a frame F, max |F F^T - E|, that is taken for rounding of the input.
 _SQUARE = 1e-6
 _AXES = np.arange(3)
 
@@ -179,7 +181,7 @@ def _require_inertia(where: str, value: object) -> None:
 @final
 @dataclass(frozen=True)
 class RigidBody(Placed, Designable):
-    """A body that does not deform, with its own axes through a reference point.
+    """A rigid body with axes of its own through a reference point.
 
     Its coordinates are the reference point r and its directions d_1, d_2(, d_3); a point x, y, z
     of it is at r + x d_1 + y d_2 + z d_3. Give either its mass and inertia or a shape with its
@@ -200,11 +202,11 @@ class RigidBody(Placed, Designable):
         I_zz, I_xy, I_xz, I_yz) of the tensor, with I_xy = -int x y dm; kg m^2. In space each
         principal moment must be less than the sum of the other two.
     centre : sequence of float, optional
-        Centre of mass, or of the shape, in the axes of the body; by default the reference point; m.
+        Centre of mass, or of the shape, in body axes; by default the reference point; m.
     shape : BodyShape, optional
-        For example `RigidBox`; its axes are those of the body.
+        Shape of the body, for example `RigidBox`, along the axes of the body.
     density : float, optional
-        Of the shape; kg/m^3.
+        Density of the shape; kg/m^3.
     frame : sequence of sequence of float, optional
         Directions of the axes in the reference configuration as rows; by default those of space.
     turn : float or sequence of float, optional
@@ -214,8 +216,8 @@ class RigidBody(Placed, Designable):
     Raises
     ------
     InvalidInputError
-        If vectors have the wrong size, mass or shape are missing or both given, the inertia is that
-        of no body of some thickness, or the frame is not right-handed and orthonormal.
+        If vectors have the wrong size, mass or shape are missing or both given, no body of positive
+        thickness has the inertia, or the frame is not right-handed and orthonormal.
     """
 
     name: str
@@ -250,7 +252,10 @@ class RigidBody(Placed, Designable):
         self._check_turn(where)
 
     def refuse_values(self, changes: Mapping[str, float]) -> None:
-        """Raise what `with_parameters` raises; for masses and densities without making the body."""
+        """Raise the exceptions of `with_parameters` for these changes.
+
+        Masses and densities are checked without making the body.
+        """
         if any(x not in ("mass", "density") or getattr(self, x) is None for x in changes):
             replace(self, **self.changed_fields(changes))
             return
@@ -268,7 +273,7 @@ class RigidBody(Placed, Designable):
         return self.position
 
     def with_place(self, place: Sequence[float]) -> RigidBody:
-        """Return the same body, moved to another place."""
+        """Return the same body with its reference point moved to `place`, shape (d,); m."""
         return replace(self, position=tuple(place))
 
     @property
@@ -278,7 +283,7 @@ class RigidBody(Placed, Designable):
 
     @property
     def centre_of_mass(self) -> MaterialPoint:
-        """The centre of mass, as a point of the body."""
+        """The centre of mass of the body, as a `MaterialPoint` for joints and loads."""
         return self.at(*map(float, self.centre))  # type: ignore[arg-type]  # never None here
 
     def at(self, x: float, y: float = 0.0, z: float = 0.0) -> MaterialPoint:
@@ -296,14 +301,14 @@ class RigidBody(Placed, Designable):
         return orthonormal(np.asarray(self.frame, dtype=float))
 
     def at_origin(self, point: MaterialPoint) -> Array:
-        """Return the place of a point along the axes."""
+        """Return the vector from reference point to `point`, (d,), in the unrotated body; m."""
         return np.array([point.x, point.y, point.z])[: self.dimension] @ self.directions()
 
     def moments(self, p: Array) -> Array:
-        """Return the integral of [1, x] [1, x]^T dm, x in the axes of the body: (d + 1, d + 1).
+        """Return the mass matrix int [1, x] [1, x]^T dm, x in body axes, shape (d + 1, d + 1).
 
-        `p` has the values of `parameters`; complex ones go through. With the tensor of inertia I
-        about the centre of mass c, int x x^T dm = tr(I)/2 E - I + m c c^T.
+        `p` holds the values of `parameters`, real or complex. With the tensor of inertia I about
+        the centre of mass c, int x x^T dm = tr(I)/2 E - I + m c c^T.
         """
         mass, inertia, centre, sizes, density = self.split(p)
         d = self.dimension
@@ -340,7 +345,7 @@ class RigidBody(Placed, Designable):
         spread = _spread(np.asarray(self.inertia, dtype=float), self.dimension)
         principal = np.size(self.inertia) < 6
         spreads = np.sort(np.diag(spread)) if principal else np.linalg.eigvalsh(spread)
-        # Below the square root of round-off the thickness across the body would be noise.
+        # Below the square root of round-off the thickness across the body would be round-off.
         if spreads[0] <= 1e-8 * spreads[-1] or spreads[0] <= 0:
             rule = "must be positive"
             if self.dimension == 3:
@@ -363,7 +368,7 @@ class RigidBody(Placed, Designable):
 
 
 def _spread(inertia: Array, d: int) -> Array:
-    """Return int x x^T dm about the centre of mass from moments of inertia."""
+    """Return int x x^T dm about the centre of mass, shape (d, d), from the inertia; kg m^2."""
     if d == 2:
         # A planar motion depends on the sum over the two axes only.
         return inertia / 2 * np.eye(2)

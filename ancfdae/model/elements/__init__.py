@@ -1,4 +1,4 @@
-"""ANCF elements: shape functions, invariant matrices, batched elastic forces; one a file."""
+"""ANCF elements, one a file: shape functions, invariant matrices and section forces."""
 
 from ancfdae.model.elements.cable import CABLE_2D, CABLE_3D
 from ancfdae.model.elements.continuum import BEAM_2D, BEAM_3D, default_element

@@ -77,13 +77,13 @@ _T, _H = tangent_weights(POINTS), np.stack(curvature_weights(POINTS), axis=-1)
 
 
 def energy(bending: Array, Y: Array) -> Array:
-    """Return the energy of bending of each element, shape (..., n)."""
+    """Return the bending energy of each element, shape (..., n), J."""
     per_l, Z = _scaled(bending, Y)
     return np.asarray(bending[:, 0] * per_l * _energy(Z))
 
 
 def energy_along(bending: Array, change: Array, Y: Array) -> Array:
-    """Return the derivative of `energy` at held Y along a change of `bending`, shape (..., n)."""
+    """Return the derivative of `energy`, shape (..., n), along a change of `bending` at fixed Y."""
     per_l, Z = _scaled(bending, Y)
     mean, by_chord = _energy(Z), np.sum(_gradient(Z)[..., 0, :] * Z[..., 0, :], axis=-1)
     by_length = -bending[:, 0] * per_l**2 * (mean + by_chord)
@@ -91,7 +91,7 @@ def energy_along(bending: Array, change: Array, Y: Array) -> Array:
 
 
 def curvature_forces(bending: Array, Y: Array) -> Array:
-    """Return the derivative of `energy` in Y, shape (..., n, n_y, d)."""
+    """Return the bending forces on the relative node vectors, dU/dY, shape (..., n, n_y, d)."""
     per_l, Z = _scaled(bending, Y)
     on_Z = (bending[:, 0] * per_l)[:, None, None] * _gradient(Z)
     on_Z[..., 0, :] *= per_l[:, None]
@@ -101,12 +101,15 @@ def curvature_forces(bending: Array, Y: Array) -> Array:
 
 
 def _rows(Y: Array) -> list[int]:
-    """Places of the chord, r_x1 and r_x2 among the relative node vectors."""
+    """Return the indices of chord, r_x1 and r_x2 among a cable's relative node vectors Y."""
     return [0, 1, (Y.shape[-2] + 1) // 2]
 
 
 def _scaled(bending: Array, Y: Array) -> tuple[Array, Array]:
-    """1/l, shape (n or 1,), zero in beams, and chord/l, r_x1 and r_x2, shape (..., n, 3, d)."""
+    """Return 1/l, (n or 1,), 0 for beams, which do not bend as cables, and chord/l, r_x1, r_x2.
+
+    The vectors have the shape (..., n, 3, d).
+    """
     l = bending[:, 1]
     per_l = np.where(l == 0, 0.0, 1 / np.where(l == 0, 1.0, l))
     Z = Y[..., _rows(Y), :].astype(np.result_type(Y, l))
@@ -115,7 +118,7 @@ def _scaled(bending: Array, Y: Array) -> tuple[Array, Array]:
 
 
 def _vectors(Z: Array) -> tuple[Array, Array, Array, Array]:
-    """T and n at the points, shape (..., 2, d), t . t and (t . h)/(t . t), shape (..., 2, 1)."""
+    """Return t and n at the Gauss points, shape (..., 2, d), then t . t and (t . h)/(t . t)."""
     t, h = _T @ Z, _H @ Z
     square = np.sum(t * t, axis=-1, keepdims=True)
     along = np.sum(t * h, axis=-1, keepdims=True) / square
@@ -123,7 +126,7 @@ def _vectors(Z: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _energy(Z: Array) -> Array:
-    """Mean of (l kappa)^2/2 over an element, shape (..., n)."""
+    """Return the mean of (l kappa)^2/2 over each element, (..., n), from scaled node vectors Z."""
     _, across, square, _ = _vectors(Z)
     return np.asarray(0.5 * np.sum(across * across / square, axis=-1) @ _RULE)
 
@@ -146,7 +149,7 @@ _THIRD = np.array([-12.0, 6.0, 6.0])
 @final
 @dataclass(frozen=True)
 class _Line:
-    """The centre line of n cables at places xi, shape (n_xi,), in scaled node vectors."""
+    """Tangents and axial strains of the centre lines of n cables at locations xi, shape (n_xi,)."""
 
     xi: Array
     l: Array
@@ -155,23 +158,23 @@ class _Line:
 
     @classmethod
     def of(cls, batch: Batch, xi: Array) -> _Line:
-        """Return the axial law of elements at the points xi."""
+        """Return the centre lines of the elements of `batch` at locations xi, shape (n_xi,)."""
         tau, initial = ElementParameter.DAMPING_TIME, ElementParameter.INITIAL_STRAIN
         return cls(xi, batch.lengths, batch.of(tau), batch.of(initial))
 
     def strains(self, Y: Array, V: Array) -> Array:
-        """Return the initial strain + eps + tau eps', shape (..., n, n_xi)."""
+        """Return the axial strains eps_i + eps + tau eps', smoothed, shape (..., n, n_xi)."""
         places, weights = _smoothing(self.xi)
         return np.asarray(self._strains_at(places, Y, V) @ weights.T)
 
     def _strains_at(self, places: Array, Y: Array, V: Array) -> Array:
-        """Return the strains of the law at places in xi."""
+        """Return the axial strains eps_i + eps + tau eps' at locations xi, not smoothed."""
         along, along_v = (tangent_weights(places) @ x for x in (Y, V))
         strains = 0.5 * (np.sum(along * along, axis=-1) - 1.0) + self.initial[:, None]
         return np.asarray(strains + self.tau[:, None] * np.sum(along * along_v, axis=-1))
 
     def force_on_chord(self, Y: Array, V: Array) -> Array:
-        """Return the force of the stretch on r_2 - r_1 over E A, shape (..., n, d)."""
+        """Return the force of axial stretch on the chord over E A, shape (..., n, d)."""
         corner, rule = box_rule((5,))
         places = corner[:, 0]
         weights = rule * end_weight_xi(places)
@@ -187,7 +190,7 @@ class _Line:
     def pulled_back(
         self, Y: Array, V: Array, on_strain: Array, on_curvature: Array
     ) -> tuple[Array, Array]:
-        """Return gradients in Y and V of a function, from its gradients in strain and curvature."""
+        """Return a function's gradients in Y and V from those in axial strain and curvature."""
         places, weights = _smoothing(self.xi)
         N = tangent_weights(places)
         on_points = (on_strain @ weights)[..., None]
@@ -203,7 +206,10 @@ class _Line:
 
 @final
 class CableSectionLaw(SectionLaw):
-    """Forces along tangent and normal; `stiffness` has E A and E I, shape (n,) each."""
+    """Axial and shear force and bending moment in a cable section.
+
+    `stiffness` holds E A and E I of the elements, shape (n,) each.
+    """
 
     def __init__(self, run: Batch, place: SectionPlace, stiffness: tuple[Array, ...]) -> None:
         self._element = [place.element]
@@ -215,7 +221,7 @@ class CableSectionLaw(SectionLaw):
         self._l, self._line = batch.lengths, _Line.of(batch, np.array([place.xi]))
 
     def forces(self, Y: Array, V: Array) -> Array:
-        """N, V_y and M_z; in space the sizes of shear force and moment in the place of these."""
+        """Return N, V_y and M_z, shape (..., 6); in space V_y and M_z are magnitudes. N and N m."""
         l, E_I, d = self._l[:, None], self._E_I[:, None], Y.shape[-1]
         force = in_space(self._force(Y, V))
         Y, V = (scaled(x[..., self._element, :, :], self._l) for x in (Y, V))
@@ -230,14 +236,14 @@ class CableSectionLaw(SectionLaw):
         if d == 2:
             forces[..., 1], forces[..., 5] = shear[..., 2], moment[..., 2]
         else:
-            # Where they vanish a size has no derivative.
+            # A magnitude has no derivative where the vector vanishes.
             small = SMALL_STRAIN * self._E_I / self._l
             forces[..., 1] = np.sqrt(np.sum(shear * shear, axis=-1) + (small / self._l) ** 2)
             forces[..., 5] = np.sqrt(np.sum(moment * moment, axis=-1) + small**2)
         return forces[..., 0, :]
 
     def _force(self, Y: Array, V: Array) -> Array:
-        """Return the section force from the forces on nodes of the elements, shape (..., d)."""
+        """Return the section force vector by equilibrium of the nodes, shape (..., d); N."""
         means = curvature_forces(self._bending, Y)[..., 0, :]
         stretched = self._run.force_on_chord(scaled(Y, self._run.l), scaled(V, self._run.l))
         means = means + self._run_E_A[:, None] * stretched
@@ -248,7 +254,7 @@ class CableSectionLaw(SectionLaw):
 
 @final
 class CableStressLaw(StressLaw):
-    """Stresses at y and z, (n, n_f) each, of sections at xi."""
+    """Stresses of cables at the points y and z, (n, n_f) each, of sections at xi."""
 
     def __init__(self, batch: Batch, xi: Array, places: tuple[Array, Array]) -> None:
         y, z, dA = batch.kind.section.points(batch.sizes, False)
@@ -257,17 +263,17 @@ class CableStressLaw(StressLaw):
         self._planar = batch.d == 2
         squares = np.sum(offsets * offsets, axis=-1)
         arms = offsets[..., 0] if self._planar else np.sqrt(squares)
-        # Of fibres, then of places, one after the other.
+        # Axes: element, fibre, location xi.
         self._arms, self._E = arms[:, :, None], batch.moduli[0][:, None, None]
         self._l, self._line, self.count = batch.lengths, _Line.of(batch, xi), arms.size * len(xi)
 
     def von_mises(self, Y: Array, V: Array) -> Array:
-        """Return the stresses, shape (k, n, n_f n_xi)."""
+        """Return the absolute stresses E |eps| + E rho |k|, shape (k, n, n_f n_xi); Pa."""
         stress = self._E * self._parts(*self._scaled(Y, V))[0]
         return np.asarray(stress.reshape(*stress.shape[:2], -1))
 
     def pulled_back(self, Y: Array, V: Array, weights: Array) -> tuple[Array, Array]:
-        """Return the sum of weights times the gradient of half the squared stresses."""
+        """Return gradients in Y and V of the weighted sum of half the squared stresses."""
         Y, V = self._scaled(Y, V)
         total, by_strain, by_curvature = self._parts(Y, V)
         weights = weights.reshape(total.shape) * self._E**2 * total
@@ -280,7 +286,7 @@ class CableStressLaw(StressLaw):
         return scaled(Y, self._l), scaled(V, self._l)
 
     def _parts(self, Y: Array, V: Array) -> tuple[Array, Array, Array]:
-        """Stress over E, (k, n, n_f, n_xi), and its derivatives in the strain and in k."""
+        """Return stress/E, (k, n, n_f, n_xi), and its derivatives in axial strain and in k."""
         strains = self._line.strains(Y, V)[:, :, None]
         k = np.cross(*self._line.tangents(Y))[:, :, None]
         if self._planar:
@@ -296,11 +302,10 @@ class CableStressLaw(StressLaw):
 
 
 def _smoothing(xi: Array) -> tuple[Array, Array]:
-    """Return Gauss points, (5,), and their weights in the linear force at xi, (n_xi, 5).
+    """Return Gauss points, (5,), and their weights in the linear axial force at xi, (n_xi, 5).
 
-    Of all linear forces along an element it is the one that does the same work as the force of the
-    law on the chord and on both tangents, which have the weights 6 xi (1 - xi), (1 - xi)(1 - 3 xi)
-    and xi (3 xi - 2).
+    The linear force along an element does the same work as the force of the law on the chord and on
+    both tangents, whose weights are 6 xi (1 - xi), (1 - xi)(1 - 3 xi) and xi (3 xi - 2).
     """
     corner, rule = box_rule((5,))
     places = corner[:, 0]
@@ -311,10 +316,10 @@ def _smoothing(xi: Array) -> tuple[Array, Array]:
 # -- elements ----------------------------------------------------------------------------------
 
 
-# Powers of l in s_a, in the tangent, and in the flexural stiffness.
+# Exponents of l in the shape functions s_a, in the tangent weights, and in the flexural stiffness.
 _S_POWER, _N_POWER = np.array([0, 1, 0, 1]), np.array([-1, 0, 0])
 _NO_POWER = np.zeros(1, dtype=int)
-# Share of the second moments by which those of a round section may differ: round-off.
+# Relative difference of the two second moments up to which a section counts as round: round-off.
 _ROUND = 1e-9
 
 
@@ -330,7 +335,7 @@ class Cable(BeamElement):
     default_energy = None
 
     def check_section(self, where: str, section: Section) -> None:
-        """Refuse sections that bend more easily one way than another, in space."""
+        """Raise InvalidInputError for a spatial cable whose section has unequal second moments."""
         (yy, yz), (_, zz) = section.second_moments()
         if self.d == 3 and max(abs(yy - zz), 2 * abs(yz)) > _ROUND * (yy + zz):
             raise InvalidInputError(
@@ -343,14 +348,14 @@ class Cable(BeamElement):
     def vector_weights(
         self, quantity: Quantity, xi: float, y: float, z: float
     ) -> tuple[Array, Array]:
-        """Cubic Hermite polynomials, the same at every y, and their tangent."""
+        """Return weights and powers of l, (4,) each, of the Hermite cubic or of its tangent."""
         if quantity is Quantity.POSITION:
             return _shape(np.array(xi)), _S_POWER
         chord, first, second = tangent_weights(np.array(xi))
         return np.array([-chord, first, chord, second]), np.array([-1, 0, -1, 0])
 
     def integrals(self, batch: Batch, owners: Array) -> ElementIntegrals:
-        """Integrals times E A, rho A and E I."""
+        """Return the invariants of cables: integrals times E A and rho A, and E I."""
         if not batch.kind.straight:
             raise InvalidInputError(
                 str(owners[0]),
@@ -361,17 +366,17 @@ class Cable(BeamElement):
         return _CableIntegrals(batch)
 
     def section_law(self, batch: Batch, place: SectionPlace) -> SectionLaw:
-        """Return the evaluator of axial force and bending moment of the sections of cables."""
+        """Return the evaluator of axial and shear force and bending moment in a cable section."""
         return CableSectionLaw(batch, place, _moduli(batch)[::2])
 
     def stress_law(self, batch: Batch, xi: Array, places: tuple[Array, Array]) -> StressLaw:
-        """Return stresses of the axial force and the bending moment."""
+        """Return the evaluator of the stresses from axial strain and curvature of cables."""
         return CableStressLaw(batch, xi, places)
 
 
 @final
 class _CableIntegrals(ElementIntegrals):
-    """A and m of unit moduli, times the moduli of each element, and the flexural stiffness."""
+    """A and m of unit moduli, times E A and rho A of each element, and the flexural stiffness."""
 
     def __init__(self, batch: Batch) -> None:
         self._batch, self._moduli, self._units = batch, _moduli(batch), _integrals()
@@ -379,18 +384,18 @@ class _CableIntegrals(ElementIntegrals):
         self.values = self._times(self._moduli)
 
     def partial(self, which: ElementParameter) -> tuple[Array, ...]:
-        """Product rule: moduli alone depend on parameters."""
+        """Return the derivatives of `values` in an element parameter, which changes only moduli."""
         moved, step = _moduli(self._batch.moved(which)), self._batch.step(which)
         return self._times(change(x, at, step) for x, at in zip(moved, self._moduli, strict=True))
 
     def _times(self, moduli: Iterable[Array]) -> tuple[Array, ...]:
-        """One number per element times an array."""
+        """Return the integrals for unit moduli times the modulus of each element."""
         pairs = zip(moduli, self._units, strict=True)
         return tuple(np.multiply.outer(modulus, unit) for modulus, unit in pairs)
 
 
 def _moduli(batch: Batch) -> tuple[Array, Array, Array]:
-    """E A, rho A and E I/lambda, shape (n,) each; in space I is the mean, as all are alike."""
+    """Return E A, rho A and E I/lambda, shape (n,) each; in space I is the mean of I_y and I_z."""
     E, rho = batch.moduli[0], batch.of(ElementParameter.DENSITY)
     y, z, dA = batch.kind.section.points(batch.sizes, False)
     _, moments = central_moments(y, z, dA)
@@ -400,21 +405,21 @@ def _moduli(batch: Batch) -> tuple[Array, Array, Array]:
 
 
 def _shape(xi: Array) -> Array:
-    """s_a at unit length, shape (n_p, 4)."""
+    """Return the shape functions s_a of elements of unit length at xi, shape (n_p, 4)."""
     s5, (p2, p6) = end_weight(xi), slope_weights(xi)
     return np.stack([1 - s5, p2, s5, p6], axis=-1)
 
 
 @cache
 def _powers() -> tuple[Array, Array, Array]:
-    """Return the powers of the length in A, m and the flexural stiffness."""
+    """Return the exponents of the length in each entry of A, m and the flexural stiffness."""
     of_g = _N_POWER[list(upper_triangle(3))].sum(axis=0)
     return of_g[:, None] + of_g + 1, _S_POWER[:, None] + _S_POWER + 1, _NO_POWER
 
 
 @cache
 def _integrals() -> tuple[Array, Array, Array]:
-    """Return A and m of unit parameters; of degree 8 and 6, five Gauss points are exact."""
+    """Return A and m at unit moduli and length; five Gauss points are exact (degrees 8 and 6)."""
     points, rule = box_rule((5,))
     xi = points[:, 0]
     s, N = _shape(xi), tangent_weights(xi)

@@ -69,9 +69,9 @@ def prepare(
     batch: Batch,
     owners: Array | None = None,
 ) -> Invariants:
-    """Integrate the invariants of a batch of elements; their derivatives follow when asked for.
+    """Integrate the invariants of a batch of elements; their derivatives are computed on demand.
 
-    InvalidInputError, with what each element belongs to, if the reference configuration folds (det
+    InvalidInputError, naming the owner of the element, if the reference configuration folds (det
     dr_o/dx <= 0 somewhere).
     """
     n = len(batch.parameters)
@@ -83,9 +83,9 @@ def prepare(
 
 
 def _invariants(element: BeamElement, batch: Batch, owners: Array, *, keep: bool) -> Invariants:
-    """Multiply the integrals by powers of the length; the product rule.
+    """Return the invariants of a batch: its integrals times powers of the length.
 
-    Integrals that are not kept are taken again for derivatives: points of many curved elements
+    Unless `keep`, the integrals are computed again for derivatives: points of many curved elements
     would fill the memory.
     """
     integrals = element.integrals(batch, owners)
@@ -124,20 +124,20 @@ def _invariants(element: BeamElement, batch: Batch, owners: Array, *, keep: bool
 
 
 def _scaled(integrals: ElementIntegrals, batch: Batch) -> tuple[list[Array], list[Array]]:
-    """Return the integrals times the powers of the length, and these powers."""
+    """Return invariants from integrals at unit length, and the powers of the length in them."""
     lengths = (batch.lengths.reshape(-1, *[1] * power.ndim) for power in integrals.powers)
     sizes = [l**power for l, power in zip(lengths, integrals.powers, strict=True)]
     return [x * size for x, size in zip(integrals.values, sizes, strict=True)], sizes
 
 
 def _free(batch: Batch) -> Array:
-    """Relative node vectors of the elements free of stress, shape (n, n_y, d)."""
+    """Return the relative node vectors of elements free of stress, shape (n, n_y, d)."""
     Y = batch.Y_free
     return np.concatenate([batch.lengths[:, None, None] * Y[:, :1], Y[:, 1:]], axis=1)
 
 
 def joined(pieces: Sequence[Invariants], order: Array | None = None) -> Invariants:
-    """Put the invariants of several blocks of one element into one, optionally reordered."""
+    """Return the invariants of several blocks of one element as one, optionally reordered."""
     if len(pieces) == 1 and order is None:
         return pieces[0]
 
@@ -171,13 +171,13 @@ def joined(pieces: Sequence[Invariants], order: Array | None = None) -> Invarian
 
 
 def relative_places(element: BeamElement, wider: BeamElement) -> Array:
-    """Return the places of the relative node vectors, (n,), among all of a full element."""
+    """Return the indices, (n_y,), of an element's relative node vectors among those of `wider`."""
     at, n_s = element.places_in(wider), element.n_s
     return np.concatenate([[0], at[1:n_s], at[n_s + 1 :] - 1])
 
 
 def widened(narrow: Invariants, element: BeamElement, wider: BeamElement) -> Invariants:
-    """Return invariants of the size of another element, zero for vectors that are not there."""
+    """Return invariants with the size of element `wider`, zero for vectors that `element` lacks."""
     n_y, at = wider.n_y, element.places_in(wider)
     packed = np.zeros((n_y, n_y), dtype=np.int64)
     packed[upper_triangle(n_y)] = np.arange(n_y * (n_y + 1) // 2)
@@ -216,7 +216,7 @@ _STRAIGHT_POINTS, _CURVED_POINTS = 5, 12
 @final
 @dataclass(frozen=True)
 class ContinuumBeam(BeamElement):
-    """A beam of hyperelastic material with linearly interpolated section slopes."""
+    """Fully parameterised ANCF beam of hyperelastic material with linear section slopes."""
 
     name: str
     d: int
@@ -225,11 +225,11 @@ class ContinuumBeam(BeamElement):
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """Vectors of a node: its position and d slopes."""
+        """Vectors of a node: its position and d slope vectors."""
         return tuple(Quantity)[: self.d + 1]
 
     def check_section(self, where: str, section: Section) -> None:
-        """Refuse sections that do not resist bending about every axis."""
+        """Raise InvalidInputError unless the area of the section spreads along each of its axes."""
         if not self._is_spread(section):
             raise InvalidInputError(
                 f"{where}, section",
@@ -261,16 +261,16 @@ class ContinuumBeam(BeamElement):
         return shape_weights(self.d, quantity, xi, y, z), powers.ravel()
 
     def integrals(self, batch: Batch, owners: Array) -> ElementIntegrals:
-        """Gauss quadrature over the volume, and for some energies along the axis."""
+        """Return A and m by quadrature over the volume, for some energies also along the axis."""
         return _ContinuumIntegrals(batch, owners)
 
     def section_law(self, batch: Batch, place: SectionPlace) -> SectionLaw:
-        """Return the law of section forces, which elements transmit from node to node."""
+        """Return the evaluator of section forces, which elements transmit from node to node."""
         A = _ContinuumIntegrals(batch, np.full(len(batch.parameters), "section force")).values[0]
         return ContinuumSectionLaw(batch, A, place)
 
     def stress_law(self, batch: Batch, xi: Array, places: tuple[Array, Array]) -> StressLaw:
-        """Return the law of stresses at xi and places of the section: C times the strains.
+        """Return the evaluator of stresses, C times the strains, at xi and points of the section.
 
         Shear and radial stresses are distributed over the section by `Section.shares`.
         """
@@ -279,7 +279,7 @@ class ContinuumBeam(BeamElement):
 
 @final
 class _ContinuumIntegrals(ElementIntegrals):
-    """A and m of scaled vectors; A is zero for elements without energy, of rigid beams."""
+    """A and m of node vectors scaled by the length; A is zero for rigid beams."""
 
     def __init__(self, batch: Batch, owners: Array) -> None:
         self._batch, self._fibres = batch, fibres(batch)
@@ -290,7 +290,7 @@ class _ContinuumIntegrals(ElementIntegrals):
             axis = self._fibres.axis()
             self._regions.append(Region(batch, axis, gauss_rule(AXIS_POINTS), owners))
         self._rho = batch.of(ElementParameter.DENSITY)
-        # What the scaling took out of g, with its squares of the chord, and of s_a.
+        # Exponents of l that scaling removed from g (squares of the chord) and from s_a.
         rows, columns = upper_triangle(2 * batch.d + 1)
         A = np.zeros((len(self._rho), len(rows), len(rows)), dtype=self._rho.dtype)
         for region, C in zip(self._regions, self._C, strict=False):
@@ -332,5 +332,5 @@ BEAM_3D = ContinuumBeam("BEAM_3D", 3)
 
 
 def default_element(dimension: int) -> ContinuumBeam:
-    """Return the beam of a dimension."""
+    """Return the shear-deformable beam element, BEAM_2D or BEAM_3D, of a dimension of space."""
     return BEAM_2D if dimension == 2 else BEAM_3D

@@ -1,6 +1,6 @@
-"""Strain energies of continuum beams: how stress follows from strain, and where strains count.
+"""Strain energies of continuum beams: elasticity matrices of the volume and of the axis.
 
-Every energy is 1/2 int eps^T C eps dV, plus for some 1/2 int A eps^T C_axis eps dx with the strains
+Every energy is 1/2 int eps^T C eps dV, for some plus 1/2 int A eps^T C_axis eps dx with the strains
 of the line of centroids; E and nu enter C only. Derivations: docs/theory/02-strain-energy.md.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from ancfdae.errors.checks import require_kind
 from ancfdae.numerics.arrays import Array
 
-# Where 1 - 2 nu is smaller, sections of a beam need less than the full stiffness of the volume.
+# Value of 1 - 2 nu below which `_nearly_incompressible` bounds the bulk stiffness of sections.
 _COMPRESSIBLE = 0.02
 
 
@@ -26,12 +26,12 @@ class StrainEnergyFunction(abc.ABC):
     assumed_strains : bool
         Whether strains that lock are replaced by interpolations that do not: thickness strains and
         shears linear between their values at the nodes, curvatures to match. Thin beams and large
-        rotations then need far fewer elements, at the same price.
+        rotations then need far fewer elements, at the same cost per element.
 
     Attributes
     ----------
     dimensions : tuple of int
-        Dimensions of space that it is meant for.
+        Dimensions of space in which the energy can be used.
     corrected : bool
         Whether shear factors and torsion constants of the section count.
     """
@@ -46,14 +46,14 @@ class StrainEnergyFunction(abc.ABC):
         require_kind(where, self.assumed_strains, (bool,), "Use True or False.")
 
     def stress_across(self, d: int, nu: Array) -> Array:
-        """Return the stress across the plane over S_xx + S_yy, shape (n,); none in plane stress."""
+        """Return the stress normal to the plane over S_xx + S_yy, shape (n,); 0 in plane stress."""
         return 0 * nu
 
     @abc.abstractmethod
     def stiffness(self, d: int, E: Array, nu: Array) -> tuple[Array, ...]:
-        """Return C in the volume, and C on the axis where there is such a part.
+        """Return the elasticity matrix C in the volume, and, if the energy has one, C on the axis.
 
-        Shape (n, n_v, n_v) each: normal strains first, then engineering shears.
+        Shape (n, n_v, n_v) each, Pa: normal strains first, then engineering shears.
         """
 
 
@@ -68,11 +68,11 @@ class SaintVenantKirchhoff(StrainEnergyFunction):
     """
 
     def stress_across(self, d: int, nu: Array) -> Array:
-        """Return nu, (n,): the stress across the plane over S_xx + S_yy; zero in space."""
+        """Return the stress normal to the plane over S_xx + S_yy, shape (n,): nu; zero in space."""
         return nu if d == 2 else 0 * nu
 
     def stiffness(self, d: int, E: Array, nu: Array) -> tuple[Array, ...]:
-        """Elastic moduli C by Lame's law, N/m^2."""
+        """Return the elasticity matrix of Lame's law, shape (n, n_v, n_v); Pa."""
         return (_isotropic(d, E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))),)
 
 
@@ -88,7 +88,7 @@ class PlaneStress(StrainEnergyFunction):
     dimensions = (2,)
 
     def stiffness(self, d: int, E: Array, nu: Array) -> tuple[Array, ...]:
-        """Lame's law without stress across the plane."""
+        """Return the elasticity matrix of Lame's law in plane stress, shape (n, 3, 3); Pa."""
         return (_isotropic(2, E * nu / (1 - nu**2), E / (2 * (1 + nu))),)
 
 
@@ -99,9 +99,9 @@ class EnhancedContinuum(StrainEnergyFunction):
 
     Poisson's effect counts on the axis only, where sections can follow it, so that beams bend with
     E I and stretch with E A; shears take the section's shear factors, torsion its torsion constant.
-    Plane stress in the plane. Above nu = 0.49 sections contract by nu as ever, but what keeps them
-    to it is at most 1.11 times as stiff as at 0.49 instead of growing without bound: a beam needs
-    E, G and nu, and its volume no stiffness of its own.
+    In the plane it is plane stress. Above nu = 0.49 sections still contract by nu, but the
+    stiffness that enforces it is at most 1.11 times its value at 0.49, instead of growing without
+    bound: a beam needs E, G and nu, and no bulk stiffness.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class EnhancedContinuum(StrainEnergyFunction):
     corrected = True
 
     def stiffness(self, d: int, E: Array, nu: Array) -> tuple[Array, ...]:
-        """E and G without Poisson's effect; on the axis the difference to the full law."""
+        """Return C without Poisson's effect in the volume; on the axis the rest of Lame's law."""
         uncoupled = _isotropic(d, 0 * E, E / (2 * (1 + nu)))
         normal = np.arange(d)
         uncoupled[:, normal, normal] = E[:, None]
@@ -126,12 +126,12 @@ class EnhancedContinuum(StrainEnergyFunction):
 
 
 def _nearly_incompressible(E: Array, nu: Array) -> Array:
-    """Return C of Lame's law with a bounded stiffness of sections against contracting otherwise.
+    """Return C of Lame's law with the bulk stiffness of sections bounded near nu = 1/2.
 
-    For normal strains Lame's energy is 1/2 E e_x^2 + 1/2 K (e_y + e_z + 2 nu e_x)^2
-    + 1/2 G (e_y - e_z)^2 with K = E/(2 (1 + nu)(1 - 2 nu)). Whatever K, a stress along x alone
-    finds E and nu. In K the compressibility u = 1 - 2 nu is replaced below u_o by
-    u_o - w (1 - exp((u - u_o)/w)) with w = u_o/10, which leaves u with its slope.
+    For normal strains Lame's energy is 1/2 E e_x^2 + 1/2 K (e_y + e_z + 2 nu e_x)^2 + 1/2 G (e_y -
+    e_z)^2 with K = E/(2 (1 + nu)(1 - 2 nu)). Uniaxial stress along x gives E and nu for any K. In K
+    the compressibility u = 1 - 2 nu is replaced below u_o by u_o - w (1 - exp((u - u_o)/w)) with w
+    = u_o/10, which continues u with its slope.
     """
     w = 0.1 * _COMPRESSIBLE
     u = _COMPRESSIBLE - w * (1 - np.exp((1 - 2 * nu - _COMPRESSIBLE) / w))

@@ -1,17 +1,16 @@
 """Section forces of continuum beams, and their stresses.
 
-Section forces are what elements transmit from node to node. With Q = dU/dY, damping included, the
-forces of an element on its relative node vectors: that of the chord is what the element transmits
-between the positions of its nodes, the turn M = sum_s r_s x Q_s of the slopes of its second node
-what it transmits there. Both are in balance with the rest of the model to round-off, since they are
-its very equations: work conjugate to the energy whatever it is made of. The force of the chord is
-the mean of the section force,
+Section forces are the forces that elements transmit from node to node. Let Q = dU/dY, damping
+included, be the forces of an element on its relative node vectors. The force Q_c on the chord is
+transmitted between the positions of its nodes, the moment M = sum_s r_s x Q_s on the slopes of its
+second node is transmitted there. Both are in equilibrium with the rest of the model to round-off,
+since they are terms of its equations of motion. The chord force is the mean of the section force,
 
     n = Q_c/l + (xi - 1/2) n',     n' = n_2 - n_1,
 
-and its slope that of its values n_k at the nodes. Where nothing acts, that is the mean with the
-element beyond, or zero at the end of a beam; where something acts, n jumps, and the slope is that
-of the other half of the element. The moment follows,
+and the slope n' follows from its values n_k at the nodes. Where nothing acts, n_k is the mean with
+the next element, or zero at the end of a beam; where something acts, n jumps, and the slope of the
+other half of the element is used. The moment is
 
     m = M - (l/12) r_x2 x n' + int_xi^1 r_x x n l dxi,
 
@@ -53,7 +52,10 @@ from ancfdae.numerics.time_grid import box_rule
 
 @final
 class ContinuumSectionLaw(SectionLaw):
-    """Forces in a section of a run of elements with the invariants A of scaled vectors."""
+    """Evaluator of the forces in one section of a run of continuum elements.
+
+    A are the invariants of node vectors scaled by the element length.
+    """
 
     def __init__(self, run: Batch, A: Array, place: SectionPlace) -> None:
         self._l, self._tau = run.lengths, run.of(ElementParameter.DAMPING_TIME)
@@ -62,7 +64,7 @@ class ContinuumSectionLaw(SectionLaw):
         self._slope = slope_of_means(self._l, place)
 
     def forces(self, Y: Array, V: Array) -> Array:
-        """Return section forces and moments from the forces on nodes, by statics."""
+        """Return the section forces and moments, shape (..., 6), by equilibrium of the nodes."""
         Y, V = np.broadcast_arrays(scaled(Y, self._l), scaled(V, self._l))
         d, k, xi = self._d, self._place.element, self._place.xi
         x = strain(self._g_o, Y, V, self._tau)
@@ -83,11 +85,11 @@ class ContinuumSectionLaw(SectionLaw):
 
 
 def slope_of_means(l: Array, place: SectionPlace) -> Array:
-    """Weights of the means of the elements of a run in the slope n_2 - n_1, shape (n,)."""
+    """Return the weights of the element means of a run in the slope n' = n_2 - n_1, shape (n,)."""
     k, weights = place.element, np.zeros(len(l), dtype=l.dtype)
     smooth = [side for side in (-1, 1) if place.smooth[max(side, 0)]]
     for side in smooth:
-        # n_k less the mean of the element, of which that is half the slope.
+        # n_k minus the mean of the element is half the slope.
         share = side * 2 / len(smooth)
         other = k + side
         if 0 <= other < len(l):
@@ -100,7 +102,7 @@ def slope_of_means(l: Array, place: SectionPlace) -> Array:
 
 
 def _arms(xi: float) -> Array:
-    """Integrals from 0 to xi of the weights of dr/dx, and of these times xi - 1/2, (2, 3)."""
+    """Return the integrals from 0 to xi of the weights of dr/dx, times 1 and xi - 1/2, (2, 3)."""
     corner, rule = box_rule((3,))
     places, rule = xi * corner[:, 0], xi * rule
     weights = tangent_weights(places)
@@ -108,7 +110,10 @@ def _arms(xi: float) -> Array:
 
 
 def _axes(slopes: Array) -> Array:
-    """Rows: normal, r_y over its length, what is across both; out of the slopes (..., d - 1, 3)."""
+    """Return the section axes as rows, shape (..., 3, 3), from its slopes, (..., d - 1, 3).
+
+    The rows are the unit normal, r_y over its length, and the direction perpendicular to both.
+    """
     y = slopes[..., 0, :]
     normal = np.cross(y, slopes[..., 1, :] if slopes.shape[-2] == 2 else np.eye(3)[2])
     y, normal = (v / np.sqrt(np.sum(v * v, axis=-1, keepdims=True)) for v in (y, normal))
@@ -119,14 +124,14 @@ def _axes(slopes: Array) -> Array:
 
 
 _AXIS_PLACES, _ = gauss_rule(AXIS_POINTS)
-#: Strain that stresses are taken together with, so that their norm has a derivative where they
-#: vanish: far above the round-off of strains, 1e-16 to 1e-14, and far below what matters.
+#: Strain that is added to stresses in quadrature, so that their norm has a derivative where they
+#: vanish: far above the round-off of strains, 1e-16 to 1e-14, and far below strains of interest.
 SMALL_STRAIN = 1e-9
 
 
 @final
 class ContinuumStressLaw(StressLaw):
-    """sqrt(S^T Q S + small^2), S = D x with the strains x of the law.
+    """Evaluator of sqrt(S^T Q S + small^2), S = D x, with the strains x of the energy.
 
     Shapes: D (n, n_f n_xi, n_v, n_g), Q (n, n_v, n_v).
     """
@@ -142,13 +147,13 @@ class ContinuumStressLaw(StressLaw):
         self.count = D[..., 0].size
 
     def von_mises(self, Y: Array, V: Array) -> Array:
-        """Return the stresses, shape (k, n, n_f n_xi)."""
+        """Return the von Mises stresses, shape (k, n, n_f n_xi); Pa."""
         S = self._stresses(Y, V)
         squares = np.sum(S * (S @ self._Q), axis=-1)
         return np.asarray(np.sqrt(squares + self._small[:, None] ** 2))
 
     def pulled_back(self, Y: Array, V: Array, weights: Array) -> tuple[Array, Array]:
-        """Return the sum of weights times Q S S_Y, and of that times S_V, shaped as Y and V."""
+        """Return gradients in Y and V of the weighted sum of half the squared stresses."""
         QS = weights[..., None] * (self._stresses(Y, V) @ self._Q)
         flat = QS.swapaxes(0, 1).reshape(len(self._D), len(QS), -1)
         p = (flat @ self._D).swapaxes(0, 1)
@@ -158,18 +163,19 @@ class ContinuumStressLaw(StressLaw):
         return scaled(on_Y + tau * stressed(p, V), self._l), scaled(on_V, self._l)
 
     def _stresses(self, Y: Array, V: Array) -> Array:
-        """S, shape (k, n, n_p, n_v)."""
+        """Return the stress components S, shape (k, n, n_p, n_v); Pa."""
         x = strain(self._g_o, scaled(Y, self._l), scaled(V, self._l), self._tau)
         S = x.swapaxes(0, 1) @ self._D.swapaxes(1, 2)
         return S.swapaxes(0, 1).reshape(len(x), len(self._D), *self._shape)
 
 
 def _spread_stresses(batch: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
-    """Return stresses at y and z of sections, (n, n_f) each, as maps of the strains of the law.
+    """Return the matrices D of stresses at points y and z of sections, (n, n_f) each.
 
-    Shears of torsion are in balance with the torque of the law and spread as the section knows
-    them. Where properties of the section count, the mean shears of V_y and V_z and the mean
-    thickness stresses, radial ones in curved beams, spread by its shares.
+    They map the strains of the energy. Shear stresses of torsion are in equilibrium with the torque
+    and distributed by the solution of the section for torsion. For energies with section
+    properties, `Section.shares` distributes the mean shears of V_y and V_z and the mean thickness
+    stresses, in curved beams the radial stresses.
     """
     fibre, section, d = fibres(batch), batch.kind.section, batch.d
     offsets = np.stack(places, axis=-1) / batch.lengths[:, None, None]
@@ -191,7 +197,7 @@ def _spread_stresses(batch: Batch, xi: Array, places: tuple[Array, Array]) -> Ar
 
 
 def _stresses(batch: Batch, xi: Array, at: Fibres, twist: Array) -> Array:
-    """Return stresses at fibres; `twist` as in `Frames.strains`."""
+    """Return the matrices D from strains to stresses at fibres; `twist` as in `Frames.strains`."""
     volume, *rest = batch.stiffness
     owners, n_v = np.full(len(batch.parameters), "stress"), len(components(batch.d))
 
@@ -202,7 +208,7 @@ def _stresses(batch: Batch, xi: Array, at: Fibres, twist: Array) -> Array:
 
     D = stresses(volume, at, xi, twist)
     for C in rest:
-        # The law asks for it at these points only: linear between and beyond them.
+        # The energy evaluates this term at the axis points only: linear between and beyond them.
         first, second = np.split(stresses(C, at.axis(), _AXIS_PLACES, None), AXIS_POINTS, axis=2)
         share = (xi - _AXIS_PLACES[0]) / (_AXIS_PLACES[1] - _AXIS_PLACES[0])
         share = share[:, None, None]
@@ -213,7 +219,8 @@ def _stresses(batch: Batch, xi: Array, at: Fibres, twist: Array) -> Array:
 def _von_mises_form(d: int, across: Array) -> Array:
     """Return Q with von Mises' stress squared = S^T Q S, shape (n, n_v, n_v).
 
-    Stresses stand as `components` has them; `across` is that across the plane over S_xx + S_yy.
+    Stresses are ordered as `components`; `across` is the stress normal to the plane over S_xx +
+    S_yy.
     """
     full = np.zeros((6, 6))
     full[:3, :3] = 1.5 * np.eye(3) - 0.5
@@ -227,7 +234,7 @@ def _von_mises_form(d: int, across: Array) -> Array:
 
 
 def scaled(Y: Array, l: Array) -> Array:
-    """Divide the chords of relative node vectors (..., n, n_y, d) by the lengths."""
+    """Return relative node vectors, (..., n, n_y, d), with the chord divided by the length l."""
     Y_s = Y.astype(np.result_type(Y, l))
     Y_s[..., 0, :] = Y_s[..., 0, :] / l[:, None]
     return Y_s

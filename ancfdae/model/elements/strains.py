@@ -15,7 +15,7 @@ are
 with a the coefficients of r_x on the axis, c_2 and c_3 those of the section slopes r_y and r_z, and
 b = dc/dxi; u.v stands for the coefficients of (sum u_i Y_i) . (sum v_j Y_j) in g. These scalar
 products are the strains s = beta(xi) g of the section, with beta independent of every parameter;
-What a fibre makes of them follows below.
+strains at the fibres follow below.
 
 Assumed strains. The section slopes are linear in xi, r cubic: where the beam turns, c.c sags
 between the nodes, and the curvature a.b is constant along an element although the axis can bend
@@ -36,12 +36,12 @@ In the thin limit the bending part is that of the cubic Hermite beam. c_2.b_2 is
 of c_2.c_2 and becomes half the difference of its values at the nodes; c_2.b_3 + c_3.b_2 likewise,
 and c_2.b_3 - c_3.b_2, the twist, is constant anyway.
 
-Two terms in the squares of curvatures and twist, which are linear in g too (`_squares`), follow.
-Turns: what a finite turn of the element takes off curvature and twist is put back as further rows
-of strain, l kappa^2 times the radius of gyration, with a stiffness of their own. Stretch: the axial
-strain of a straight beam is lowered by 3/2 of the squared curvature times the squared radius of
-gyration, so that bending neither shortens the axis nor softens the beam. It fades likewise
-(`fibres`). Derivations: docs/theory/02-strain-energy.md.
+Two further terms are squares of curvatures and twist, also linear in g (`_squares`). Turns: a
+finite rotation of the element lowers its interpolated curvature and twist; this is compensated by
+further rows of strain, l kappa^2 times the radius of gyration, with a stiffness of their own.
+Stretch: the axial strain of a straight beam is lowered by 3/2 of the squared curvature times the
+squared radius of gyration, so that bending neither shortens the axis nor softens the beam. This
+term fades in short elements, too (`fibres`). Derivations: docs/theory/02-strain-energy.md.
 
 **Strains at the fibres** are linear functions of the strains s of the section. At a point (xi, y,
 z), with dr_o/dx = (r_ox + y b_o2 + z b_o3, r_oy, r_oz) in the axes of the reference section (its
@@ -90,8 +90,8 @@ from ancfdae.model.sections.section import central_moments
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.time_grid import box_rule
 
-# Poisson's effect on the axis couples stretch, quadratic in xi, with thickness strains, linear in
-# xi: two points ask it where both can follow.
+# Number of integration points on the axis. Poisson's effect couples stretch, quadratic in xi, with
+# thickness strains, linear in xi: at two points the thickness strains can follow the stretch.
 AXIS_POINTS = 2
 # Share of the compliance in shear between the chord of an element and the tangents of its nodes.
 _SHARE = 0.01
@@ -123,7 +123,7 @@ def fibres(batch: Batch) -> Fibres:
 def _shared(batch: Batch, factors: Array, radii: Array) -> Array:
     """Return the stiffness factors of shears, twist and waves, shape (n, 5).
 
-    With assumed strains the part _SHARE of the shear stiffness acts on waves of the section.
+    With assumed strains the fraction _SHARE of the shear compliance acts on waves of the section.
     """
     waves = np.ones((len(factors), 2), dtype=factors.dtype)
     if batch.kind.energy is not None and batch.kind.energy.assumed_strains:
@@ -136,41 +136,41 @@ def _shared(batch: Batch, factors: Array, radii: Array) -> Array:
 
 
 def fibres_partial(batch: Batch, which: ElementParameter) -> Fibres:
-    """Return the derivative of `fibres` in a parameter."""
+    """Return the derivative of `fibres`, the quadrature points, in an element parameter."""
     at, moved, step = fibres(batch), fibres(batch.moved(which)), batch.step(which)
     names = [each.name for each in fields(Fibres)]
     return Fibres(*(change(getattr(moved, name), getattr(at, name), step) for name in names))
 
 
 def gauss_rule(count: int) -> tuple[Array, Array]:
-    """Gauss points along an element and their weights."""
+    """Return `count` Gauss points on [0, 1] along an element, and their weights, (count,) each."""
     corner, rule = box_rule((count,))
     return corner[:, 0], rule
 
 
 def along(function: Callable[..., Array], at: Sequence[Array], b: Sequence[Array]) -> Array:
-    """Return the derivative of a function along changes of its arguments, by an imaginary step."""
+    """Return the derivative of `function` at `at` in the direction `b`, by a complex step."""
     moved = (x.real + 1j * STEP * x_b.real for x, x_b in zip(at, b, strict=True))
     return np.asarray(function(*moved).imag / STEP)
 
 
 def change(moved: Array, at: Array, step: Array) -> Array:
-    """Return the derivative out of a value at `Batch.moved` parameters and at the parameters.
+    """Return the derivative from a value at `Batch.moved` parameters and at the parameters.
 
-    What is imaginary already, in a complex-step run, does not count.
+    An imaginary part that the unperturbed value has in a complex-step run is subtracted.
     """
     return np.asarray((np.imag(moved) - np.imag(at)) / step.reshape(-1, *[1] * (at.ndim - 1)))
 
 
 @final
 class Region:
-    """Strains of sections, and what they cost, at the places where an energy is integrated.
+    """Section strains and their energy at the locations xi where an energy is integrated.
 
-    These are places xi along the axis with their weights, (n_xi,) each. `beta`, (n_xi, n_s, n_g),
-    are strains of the section in the Gram matrix of the scaled node vectors; `R`, (n, n_xi or 1,
-    n_f, n_v, n_s), those at the fibres in these, one for all places of straight elements; `volume`
-    is (n, n_xi or 1, n_f). InvalidInputError names the owner of an element, (n,), whose reference
-    configuration folds (det dr_o/dx <= 0 somewhere).
+    The locations along the axis and their weights have shape (n_xi,) each. `beta`, (n_xi, n_s,
+    n_g), maps the Gram matrix of the scaled node vectors to the strains of the section; `R`, (n,
+    n_xi or 1, n_f, n_v, n_s), maps these to strains at the fibres, one for all locations in
+    straight elements; `volume` is (n, n_xi or 1, n_f). InvalidInputError names the owner of an
+    element, (n,), whose reference configuration folds (det dr_o/dx <= 0 somewhere).
     """
 
     def __init__(
@@ -189,7 +189,7 @@ class Region:
 
     @cached_property
     def R(self) -> Array:
-        """Strains at the fibres per strain of the section, shape (n, n_xi or 1, n_f, n_v, n_s)."""
+        """Matrices from section strains to fibre strains, shape (n, n_xi or 1, n_f, n_v, n_s)."""
         return self._strains(self._fibres)
 
     def stiffness(self, C: Array) -> Array:
@@ -197,19 +197,19 @@ class Region:
         return self._integral(self.R, C, self.volume, self.R)
 
     def stiffness_partial(self, C: Array, fibres_b: Fibres) -> Array:
-        """Return the derivative of `stiffness` along that of the fibres."""
+        """Return the derivative of `stiffness` for the derivative `fibres_b` of the fibres."""
         R_b, volume_b = (self._along(of, fibres_b) for of in (self._strains, self._measure))
         cross = self._integral(R_b, C, self.volume, self.R)
         return cross + cross.swapaxes(-1, -2) + self._integral(self.R, C, volume_b, self.R)
 
     def total(self, K: Array) -> Array:
-        """Return the sum of beta^T K beta along the axis, shape (n, n_g, n_g)."""
+        """Return the integral of beta^T K beta along the axis by quadrature, (n, n_g, n_g)."""
         right = self.rule[:, None, None] * (K @ self.beta)
         n_g = self.beta.shape[-1]
         return np.asarray(self.beta.reshape(-1, n_g).T @ right.reshape(len(K), -1, n_g))
 
     def true_strains(self, twist: Array | None) -> Array:
-        """Return `R` with the shears of the material; `twist` as in `Frames.strains`."""
+        """Return the matrices `R` for engineering shear strains; `twist` as in `Frames.strains`."""
         return self._frames.strains(self._fibres, self._turns, 2, twist)
 
     def mass(self, rho: Array) -> Array:
@@ -218,7 +218,7 @@ class Region:
         return _product(rho, self.rule[:, None] * self.volume, s, s)
 
     def mass_partial(self, rho: Array, fibres_b: Fibres) -> Array:
-        """Return the derivative of `mass` along that of the fibres."""
+        """Return the derivative of `mass` for the derivative `fibres_b` of the fibres."""
         offsets, offsets_b = self._fibres.offsets, fibres_b.offsets
         s, s_b = self._shape(offsets), along(self._shape, (offsets,), (offsets_b,))
         volume_b = self._along(self._measure, fibres_b)
@@ -244,7 +244,7 @@ class Region:
         return np.asarray(left.swapaxes(-1, -2) @ right)
 
     def _shape(self, offsets: Array) -> Array:
-        """Return the weights of node vectors in positions of fibres, shape (n, n_xi, n_f, n_a)."""
+        """Return the shape functions at the fibres, shape (n, n_xi, n_f, n_a)."""
         y, z = np.moveaxis(offsets[:, None], -1, 0)
         weights = shape_weights(self._d, Quantity.POSITION, self._xi[:, None], y, z)
         return weights
@@ -257,7 +257,7 @@ def _product(rho: Array, dV: Array, s_1: Array, s_2: Array) -> Array:
 
 
 def section_stiffness(batch: Batch) -> tuple[Array, ...]:
-    """C of strains and turns, in the volume and where there is such a part on the axis."""
+    """Return section stiffnesses C of the volume, and of the axis if the energy needs them."""
     C = batch.stiffness
     if not batch.energy.assumed_strains:
         return C
@@ -266,7 +266,7 @@ def section_stiffness(batch: Batch) -> tuple[Array, ...]:
 
 
 def _with_diagonal(C: Array, more: Array) -> Array:
-    """Add rows and columns with a diagonal, shape (n, n_more), to C."""
+    """Return the matrices C with rows and columns added whose diagonal is `more`, (n, n_more)."""
     n_v, size = C.shape[1], C.shape[1] + more.shape[1]
     whole = np.zeros((len(C), size, size), dtype=C.dtype)
     whole[:, :n_v, :n_v] = C
@@ -292,41 +292,41 @@ def _refuse_folds(stretch: Array, owners: Array) -> None:
 
 @lru_cache(maxsize=8)
 def upper_triangle(n_y: int) -> tuple[Array, Array]:
-    """Row and column of each packed entry."""
+    """Return row and column indices of the entries of a packed symmetric matrix, (n_g,) each."""
     rows, columns = np.triu_indices(n_y)
     return rows, columns
 
 
 def packed_gram(Y: Array) -> Array:
-    """Packed Y Y^T; Y of shape (..., n_y, d), result (..., n_g)."""
+    """Return the packed upper triangle of Y Y^T, shape (..., n_g), of Y, shape (..., n_y, d)."""
     return strain(None, Y, Y, None) / 2
 
 
 @final
 @dataclass(frozen=True)
 class StrainPlaces:
-    """Index of each strain of a section in the vector of strains; the first is a.a of the axis.
+    """Indices of the strains of a section in their vector; entry 0 is a.a of the axis.
 
-    Indices i and j run over y and z. What stands behind `thickness` is of assumed strains only.
+    Indices i and j run over y and z. The fields after `thickness` exist for assumed strains only.
     """
 
-    bending: Array  # a.b_i, the mean of assumed ones
+    bending: Array  # a.b_i; for assumed strains its mean along the element
     squares: Array  # b_i.b_j
     shears: Array  # c_i.a
     slopes: Array  # c_i.b_j
     thickness: Array  # c_i.c_j
     turns: Array  # squares of curvatures and twist
-    waves: Array  # assumed curvatures less their means, as bending changes them
-    turned: Array  # and as a twist does
+    waves: Array  # assumed curvatures minus their means, the part due to bending
+    turned: Array  # assumed curvatures minus their means, the part due to twist
 
     def count(self, assumed: bool) -> int:
-        """Return the number of strains of a section, with or without the assumed ones."""
+        """Return the number of strains of a section, with or without the assumed strains."""
         return int(self.turned[-1] + 1 if assumed else self.turns[0])
 
 
 @lru_cache(maxsize=2)
 def strain_places(d: int) -> StrainPlaces:
-    """Return the places of the strains of sections in d dimensions."""
+    """Return the indices of the strains of sections in d dimensions."""
     m = d - 1
     pairs = np.zeros((m, m), dtype=int)
     rows, columns = np.triu_indices(m)
@@ -344,9 +344,9 @@ def strain_places(d: int) -> StrainPlaces:
 
 @lru_cache(maxsize=16)
 def section_strains(d: int, xi: tuple[float, ...], assumed: bool) -> Array:
-    """Return beta, shape (n_xi, n_s, n_g), with which strains of sections are beta g.
+    """Return beta, shape (n_xi, n_s, n_g): the strains of sections at xi are beta g.
 
-    Assumed strains do not lock; see the module description.
+    Assumed strains do not lock; see the module docstring.
     """
     x, axis, at = np.array(xi)[:, None], Axis.of(d, np.array(xi)), strain_places(d)
     ends, middle = Axis.of(d, np.array([0.0, 1.0])), Axis.of(d, np.array([0.5]))
@@ -362,7 +362,7 @@ def section_strains(d: int, xi: tuple[float, ...], assumed: bool) -> Array:
         if assumed:
             beta[:, at.bending[k]] = _gram(chord, middle.b[i])
             beta[:, at.shears[k]] = linear(_gram(ends.c[i], ends.a))
-            # What varies along the element with bending, and by a twist.
+            # The parts of the curvature that vary along the element, by bending and by twist.
             s, wave = 1 - 2 * x, _gram(bent, middle.b[i])
             beta[:, at.waves[k]] = 0.5 * (s**2 - 1 / 3) * wave - s * _gram(bent, middle.c[i])
             beta[:, at.turned[k]] = (0.5 - x) * _gram(middle.a_xi, middle.b[i])
@@ -384,16 +384,16 @@ def section_strains(d: int, xi: tuple[float, ...], assumed: bool) -> Array:
 
 
 def turn_count(d: int) -> int:
-    """Return how many rows of turns follow the components of strain."""
+    """Return the number of rows of turns, squared curvatures and twist, after the strains."""
     return 1 if d == 2 else 3
 
 
 def turn_stiffness(d: int, E: Array, nu: Array, straight: bool) -> Array:
-    """Stiffness of the turns: the diagonal of what follows C, shape (n, turn_count).
+    """Return the stiffness of the turns, a diagonal appended to C, shape (n, turn_count); Pa.
 
-    What is missing is (k - k_o)^2 (k^2 + k k_o + k_o^2) of a curvature or twist k, what is added
-    (k^2 - k_o^2)^2: the same for k_o = 0, and 4/3 of it near the reference of a curved beam, whose
-    volume is short by phi^2/12 of it, too: 1 - phi^2/12 - phi^2/2 + 2/3 share phi^2 = 1.
+    The energy lacks (k - k_o)^2 (k^2 + k k_o + k_o^2) of a curvature or twist k, and turns add (k^2
+    - k_o^2)^2: the same for k_o = 0, and 4/3 of it near the reference of a curved beam, whose
+    volume also lacks the fraction phi^2/12: 1 - phi^2/12 - phi^2/2 + 2/3 share phi^2 = 1.
     """
     share, G = 1.0 if straight else 7 / 8, E / (2 * (1 + nu))
     turns = [E / 6] if d == 2 else [E / 6, E / 6, G / 3]
@@ -401,16 +401,16 @@ def turn_stiffness(d: int, E: Array, nu: Array, straight: bool) -> Array:
 
 
 def components(d: int) -> tuple[tuple[int, int], ...]:
-    """Index pairs of the components of strain, normal ones first."""
+    """Return the index pairs of the strain components, normal strains first."""
     return ((0, 0), (1, 1), (0, 1)) if d == 2 else ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
 @final
 @dataclass(frozen=True)
 class Axis:
-    """Coefficients of r_x, its derivative, the section slopes and theirs, shape (n_xi, n_y) each.
+    """Coefficients of r_x, r_xx, r_y, r_z and their xi derivatives in Y, (n_xi, n_y) each.
 
-    Lists are by axis of the section; entry 0 is not used.
+    Tuples are by axis of the section; entry 0 is not used.
     """
 
     a: Array
@@ -420,7 +420,7 @@ class Axis:
 
     @classmethod
     def of(cls, d: int, xi: Array) -> Axis:
-        """Return the coefficients of beams in d dimensions at places xi."""
+        """Return the coefficients for beams in d dimensions at locations xi, shape (n_xi,)."""
         shape, second = (len(xi), 2 * d + 1), d
         a, a_xi = np.zeros(shape), np.zeros(shape)
         a[:, 0] = end_weight_xi(xi)
@@ -434,10 +434,10 @@ class Axis:
 
 
 def _squares(d: int) -> Array:
-    """Coefficients of (l kappa)^2 about z, in space about y too and of the twist, in g.
+    """Return the coefficients in g of the squared curvatures and twist at mid-element.
 
-    At mid-element a'.a' = kappa_z^2 + kappa_y^2, b_2.b_2 = kappa_z^2 + tau^2 and
-    b_3.b_3 = kappa_y^2 + tau^2.
+    The rows are (l kappa_z)^2 and, in space, (l kappa_y)^2 and (l tau)^2. At mid-element a'.a' =
+    kappa_z^2 + kappa_y^2, b_2.b_2 = kappa_z^2 + tau^2 and b_3.b_3 = kappa_y^2 + tau^2.
     """
     middle = Axis.of(d, np.array([0.5]))
     bent = _gram(middle.a_xi, middle.a_xi)[0]
@@ -449,7 +449,7 @@ def _squares(d: int) -> Array:
 
 
 def _gram(u: Array, v: Array) -> Array:
-    """Coefficients of (sum u_i Y_i) . (sum v_j Y_j) in g."""
+    """Return the coefficients of (sum u_i Y_i) . (sum v_j Y_j) in g, shape (..., n_g)."""
     rows, columns = upper_triangle(u.shape[-1])
     product = u[..., rows] * v[..., columns] + u[..., columns] * v[..., rows]
     return product * np.where(rows == columns, 0.5, 1.0)
@@ -461,30 +461,29 @@ def _gram(u: Array, v: Array) -> Array:
 @final
 @dataclass(frozen=True)
 class Fibres:
-    """Fibres of n elements, or their derivative with respect to a parameter."""
+    """Quadrature points (fibres) of the sections of n elements, or their parameter derivative."""
 
     offsets: Array  # (n, n_s, 2): y and z over l
     volume: Array  # (n, n_s): area that a fibre stands for, times l
-    # (n, 5): strains are multiplied by them: square roots of the shear factors along y and z, of
-    # what the torsion constant is to the polar moment about the centroid, and of what counts of the
-    # waves of curvature.
+    # (n, 5): factors of strains: square roots of the shear factors along y and z, of the torsion
+    # constant over the polar moment about the centroid, and of the factors of curvature waves.
     factors: Array
     # (n, 3): radii of gyration about the centroid along y and z, and sqrt(J/A), over l.
     radii: Array
-    stretch: Array  # (n, 2): axial strain that squares of curvatures take off
-    # (n, 2): what counts, about z and y, of terms that kinks of the axis would make stiff: one in
-    # slender elements, nothing in those that are shorter than the radii.
+    stretch: Array  # (n, 2): axial strain that is subtracted per squared curvature
+    # (n, 2): factors, about z and y, of terms that kinks of the axis would make stiff: one in
+    # slender elements, zero in elements much shorter than the radii of gyration.
     fade: Array
-    centroid: Array  # (n, 1, 2): y and z of them over l
-    shear_centre: Array  # (n, 1, 2)
+    centroid: Array  # (n, 1, 2): y and z of the centroid over l
+    shear_centre: Array  # (n, 1, 2): y and z of the shear centre over l
 
     def any(self) -> bool:
-        """Whether a number of the fibres is nonzero; radii and centroid follow from the others."""
+        """Whether any number in these quadrature points (a parameter derivative) is nonzero."""
         parts = (self.offsets, self.volume, self.factors, self.shear_centre)
         return any(bool(np.any(part)) for part in parts)
 
     def axis(self) -> Fibres:
-        """All of the section in one fibre at the centroid."""
+        """Return the whole section as one fibre at the centroid."""
         volume = self.volume.sum(axis=1, keepdims=True)
         places = self.centroid, self.shear_centre
         terms = self.factors, self.radii, self.stretch, self.fade
@@ -494,23 +493,23 @@ class Fibres:
 @final
 @dataclass(frozen=True)
 class Frames:
-    """Reference sections at places of n elements, or one for all where they are straight."""
+    """Reference sections of n elements at locations xi; one for all if they are straight."""
 
     is_straight: bool
     normal: Array  # (n, n_xi, d): normal components of r_ox and b_oj
-    across: Array  # (n, n_xi, d, d - 1): components of these in the section
+    across: Array  # (n, n_xi, d, d - 1): components of r_ox and b_oj in the section
     inverse: Array  # (n, n_xi, d - 1, d - 1): J_s^-1
     det: Array  # (n, n_xi): determinant of J_s
 
     @classmethod
     def straight(cls, d: int) -> Frames:
-        """Return the frames of straight elements: unit vectors along the axes of the beam."""
+        """Return the reference sections of straight elements: the coordinate axes."""
         normal, inverse = np.eye(d)[None, None, 0], np.eye(d - 1)[None, None]
         return cls(True, normal, np.zeros((1, 1, d, d - 1)), inverse, np.ones((1, 1)))
 
     @classmethod
     def of(cls, Y: Array, xi: Array) -> Frames:
-        """Return the frames of reference vectors Y, (n, n_y, d), at places xi."""
+        """Return the reference sections of relative node vectors Y, (n, n_y, d), at xi, (n_xi,)."""
         d = Y.shape[-1]
         axis = Axis.of(d, xi)
         slopes = np.stack([c @ Y for c in axis.c[1:]], axis=-1)
@@ -520,19 +519,20 @@ class Frames:
         return cls(False, along[..., 0], along[..., 1:], np.linalg.inv(J_s), np.linalg.det(J_s))
 
     def stretch(self, offsets: Array) -> Array:
-        """Return j at fibres, shape (n, n_xi, n_f)."""
+        """Return j, the normal component of r_ox + y b_o2 + z b_o3, at fibres, (n, n_xi, n_f)."""
         ones = self._ones(offsets, self.normal.shape[-1] - 1)
         return np.asarray(np.einsum("...sk,...k->...s", ones, self.normal))
 
     def strains(
         self, at: Fibres, turns: int, shear_power: int, twist: Array | None = None
     ) -> Array:
-        """Return strains and turns in s, shape (n, n_xi, n_f, n_v + turns, n_s).
+        """Return the matrices from section strains s to fibre strains and turns.
 
-        `turns` says how many of them the energy has; `shear_power` is that of the factors in shears
-        and waves: 1 in those of the energy, 2 of the material. `twist`, (n, n_f, 2), has shears of
-        torsion over the rate of twist and l, where they are known; by default they are those of
-        sections that stay flat, with the factor.
+        Their shape is (n, n_xi, n_f, n_v + turns, n_s). `turns` is the number of turns in the
+        energy; `shear_power` is the exponent of the factors of shears and waves: 1 for strains of
+        the energy, 2 for strains of the material. `twist`, (n, n_f, 2), holds the shears of torsion
+        over the rate of twist and l, if known; by default sections stay plane and shears have the
+        factor of twist.
         """
         d = self.normal.shape[-1]
         places, pairs, m = strain_places(d), components(d), d - 1
@@ -567,7 +567,7 @@ class Frames:
         return R
 
     def _shears(self, at: Fibres, power: int, count: int, given: Array | None) -> Array:
-        """Return h in s, shape (n, n_xi, n_f, d - 1, count)."""
+        """Return the coefficients of the shears h in s, shape (n, n_xi, n_f, d - 1, count)."""
         m = self.normal.shape[-1] - 1
         forms, factors = self._forms(count), at.factors**power
         y, c, c_s = (x[:, None, :, :m] for x in (at.offsets, at.centroid, at.shear_centre))
@@ -578,7 +578,7 @@ class Frames:
         arms = np.concatenate([np.broadcast_to(shear, (*arms.shape[:-1], 1)), arms], axis=-1)
         h = np.einsum("...ij,...ijs->...is", arms, forms)
         if given is not None and m == 2:
-            # r_y turns by G_zy and r_z by -G_yz: where they differ, the torque is that of their
+            # r_y rotates by G_zy and r_z by -G_yz: if they differ, the torque follows from their
             # mean with the weights I_y and I_z.
             squares = at.radii[:, :2] ** 2
             w = (squares / np.sum(squares, axis=1, keepdims=True))[:, None, None, :, None]
@@ -587,7 +587,7 @@ class Frames:
         return np.asarray(h / self.stretch(at.offsets)[..., None, None])
 
     def _forms(self, count: int) -> Array:
-        """Return g_i, then G_ij, in s, shape (n, n_xi, 1, d - 1, d, count)."""
+        """Return the coefficients of g_i, then G_ij, in s, shape (n, n_xi, 1, d - 1, d, count)."""
         m = self.normal.shape[-1] - 1
         places = strain_places(m + 1)
         along = np.swapaxes(self.inverse @ np.swapaxes(self.across, -1, -2), -1, -2)
@@ -600,14 +600,15 @@ class Frames:
 
     @staticmethod
     def _ones(offsets: Array, m: int) -> Array:
-        """1, y(, z), shape (n, 1, n_f, d)."""
+        """Return 1, y and z of the fibres of sections as rows, shape (n, 1, n_f, d)."""
         return np.concatenate([np.ones_like(offsets[..., :1]), offsets[..., :m]], axis=-1)[:, None]
 
 
 def _section_axes(slopes: Array) -> Array:
-    """Rows: the normal of the section, r_y over its length, and what is across both in space.
+    """Return the axes of the section as rows, from its slopes as columns, (..., d, d - 1).
 
-    Shear factors, and C without Poisson's effect, belong to these axes.
+    They are the normal, r_y over its length, and in space the direction perpendicular to both.
+    Shear factors, and C without Poisson's effect, refer to these axes.
     """
     r_y = slopes[..., 0] / np.sqrt(np.sum(slopes[..., 0] ** 2, axis=-1, keepdims=True))
     if slopes.shape[-2] == 2:

@@ -1,1 +1,1 @@
-"""Joints: holonomic constraints between points of beams, and to ground; a family a file."""
+"""Joints: constraints between points of bodies, and to ground; one family a file."""

@@ -37,19 +37,19 @@ from ancfdae.model.parts import Sign
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.vector_formulas import cross
 
-#: The axis, what carries it at `other`, and the place on the ground.
+#: Unit axis, the section of `other` or ground that carries it, and the position on the ground.
 Around: TypeAlias = tuple[Array, Carrier, Array | None]
 
 
 @dataclass(frozen=True)
 class AxisJoint(Joint):
-    """A joint of a section of a spatial beam about an axis.
+    """Base class of joints that align a section of a spatial beam with an axis.
 
-    The axis, as the section carries it along, stays where the ground or the section of `other` has
-    it. What a section holds of it is a matter of the section, not of the centre line, which may
-    shear against it; in the section no shear is left. Where the axis lies neither in the section of
-    the point nor in that of `other`, the section of `other` keeps at right angles to the centre
-    line, too. Design targets: ``axis_x``, ``axis_y``, ``axis_z``, and ``ground_x`` ... to ground.
+    The axis, carried along by the section of the point, keeps the direction that the ground or the
+    section of `other` gives it. The centre line may shear against the section; within the section
+    no shear is left. If the axis lies neither in the section of the point nor in the section of
+    `other`, the section of `other` also stays perpendicular to the centre line. Design targets:
+    ``axis_x``, ``axis_y``, ``axis_z``, and ``ground_x`` ... to ground.
 
     Parameters
     ----------
@@ -76,24 +76,28 @@ class AxisJoint(Joint):
 
     @property
     def by_slopes(self) -> bool:
-        """Whether there are two points: equations to ground depend on the point's place."""
+        """Whether the equations do not depend on positions: true between two points."""
         return self.other is not None
 
     def around(self, p: Array, reference: Array) -> Around:
-        """Return the axis and what carries it."""
+        """Return the unit axis, its carrier, and the position on the ground or None."""
         axis, ground = self.split(p)
         _, *other = sections(self.points, reference)
         return unit(axis), carrier_of(other), ground
 
     def level(self, e: Array, ground: Array | None, reference: Array) -> Array | float:
-        """Return the required e . (r - r'): zero for another point, else e . (ground place)."""
+        """Return the offset in e . (r - r') = offset: zero if there is `other`, else e . ground."""
         place = reference[0] if ground is None else ground
         return 0.0 if self.other is not None else np.sum(e * place)
 
     def aligned(
         self, rows: int, p: Array, reference: Array, shapes: Sequence[RightAngle] = ()
     ) -> JointEquations:
-        """Return coefficients with the last two of these equations entered, and all shapes."""
+        """Return empty equations in which the last two before the shapes align the axis.
+
+        The right angles of sections that the joint keeps, and `shapes`, are added as last
+        equations.
+        """
         axis, carrier, _ = self.around(p, reference)
         both = sections(self.points, reference)
         section = both[0]
@@ -103,7 +107,8 @@ class AxisJoint(Joint):
         c = empty_equations(rows, p, reference, every)
         hold_axis(c, slice(rows - 2, rows), section, carrier, axis)
         if is_fixed_in(section, carrier, axis):
-            # F axis is fixed: what is square to it in the section is across the axis.
+            # F axis is fixed: the direction perpendicular to it in the section stays across the
+            # axis.
             carrier.meet(c, rows, section.carried(unit(cross(section.normal, axis))), axis)
         else:
             place_shapes(c, both)
@@ -124,7 +129,7 @@ class Revolute(AxisJoint):
     holds_position = True
 
     def coefficients(self, p: Array, reference: Array) -> JointEquations:
-        """Return the coefficients: a common point, and two axes across that stay perpendicular."""
+        """Return the coefficients: coincident points, and two directions across the axis."""
         c = self.aligned(5, p, reference)
         place_coincidence(c, len(self.points), reference, self.around(p, reference)[2])
         return c
@@ -145,7 +150,7 @@ class Cylindrical(AxisJoint):
     sign = Sign("cylindrical joint", "h")
 
     def coefficients(self, p: Array, reference: Array) -> JointEquations:
-        """Two equations across the axis and two perpendicularities."""
+        """Return the coefficients: two equations across the axis, and two that align it."""
         axis, carrier, ground = self.around(p, reference)
         c = self.aligned(4, p, reference, square(carrier))
         for row, e in enumerate(across(axis)):
@@ -166,7 +171,7 @@ class PlanarJoint(AxisJoint):
     sign = Sign("planar joint", "D")
 
     def coefficients(self, p: Array, reference: Array) -> JointEquations:
-        """One equation along the normal of the plane and two perpendicularities."""
+        """Return the coefficients: one equation along the normal, and two that align it."""
         axis, carrier, ground = self.around(p, reference)
         c = self.aligned(3, p, reference, square(carrier, unless_it_holds=axis))
         hold_place(c, 0, carrier, axis, self.level(axis, ground, reference))
@@ -205,7 +210,7 @@ class Prismatic(Joint):
     design_fields = (("axis", require_direction),)
 
     def coefficients(self, p: Array, reference: Array) -> JointEquations:
-        """Equations across the axis, and one for every turn."""
+        """Return the coefficients: d - 1 equations across the axis, and one per rotation."""
         (axis,), d = self.split(p), reference.shape[1]
         section, *others = sections(self.points, reference)
         carrier, places = carrier_of(others), reference[: len(self.points)]
@@ -222,7 +227,7 @@ class Prismatic(Joint):
         return c
 
 
-# One minus the cosine of an angle of 1e-6 that is taken for none.
+# 1 - cos of the angle, about 1e-6 rad, below which two axes count as parallel.
 _PARALLEL = 1e-12
 
 
@@ -267,7 +272,10 @@ class Universal(Joint):
     holds_position = True
 
     def __post_init__(self) -> None:
-        """Refuse axes that are parallel: they would hold their angle to first order alone."""
+        """Raise InvalidInputError if the axes are parallel, or the fields of a joint are wrong.
+
+        Parallel axes would keep their angle to first order only.
+        """
         super().__post_init__()
         axis, cross = (np.asarray(direction, float) for direction in (self.axis, self.cross))
         if len(axis) == len(cross) and abs(unit(axis) @ unit(cross)) > 1 - _PARALLEL:
@@ -280,11 +288,11 @@ class Universal(Joint):
 
     @property
     def by_slopes(self) -> bool:
-        """Whether there are two points: equations to ground depend on the point's place."""
+        """Whether the equations do not depend on positions: true between two points."""
         return self.other is not None
 
     def coefficients(self, p: Array, reference: Array) -> JointEquations:
-        """Coincidence, and F axis . F' cross as in the reference."""
+        """Return the coefficients: coincident points, and F axis . F' cross as in the reference."""
         *directions, ground = self.split(p)
         axis, cross = map(unit, directions)
         both = sections(self.points, reference)

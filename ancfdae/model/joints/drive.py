@@ -1,4 +1,4 @@
-"""Driven joints: the rotation of a section, the travel of a point along a direction."""
+"""Driven joints: the rotation of a section, the displacement of a point along a direction."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -37,12 +37,12 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True)
 class RotationDriver(DrivenJoint):
-    """Turn the section of a beam at a point by a law of time: a driven crank, a motor in an elbow.
+    """Prescribe the angle of a section by a law of time: a driven crank, a motor in an elbow.
 
-    The angle is that from the reference configuration, in rad, about an axis that stays, or against
-    the section of `other`, which carries the axis along. Sections turn, not centre lines: a beam
-    that shears transmits a moment through its sections. An element without a section turns its
-    tangent instead. In space another joint, such as `Revolute`, must keep the axis.
+    The angle, in rad, counts from the reference configuration, about an axis fixed in space, or
+    relative to the section of `other`, which carries the axis along. Sections are rotated, not
+    centre lines: a beam that shears transmits a moment through its sections. For an element without
+    a section the tangent is rotated. In space another joint, such as `Revolute`, must fix the axis.
     Design targets: the parameters of the law, and ``axis_x`` ... where the axis is given.
 
     Parameters
@@ -67,13 +67,13 @@ class RotationDriver(DrivenJoint):
     design_fields = (("angle", require_law), ("axis", require_direction))
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return the slopes: those that span the section, all where there is another."""
+        """Return the slopes that take part: those spanning the section; all slopes with `other`."""
         if self.other is not None:
             return super().vectors(elements)[2:]
         return tuple((self.point, q) for q in elements.at(self.point).spanning)
 
     def coefficients(self, p: Array, reference: Array) -> JointEquations:
-        """Return the coefficients that do not rotate: along the axis, shear, and right angles."""
+        """Return the coefficients that do not depend on the angle: axis, shear, right angles."""
         a, d = self._axis(p), reference.shape[1]
         if self.other is None:
             return self._against_ground(p, reference, lambda m: (a @ m) * a, still=True)
@@ -86,7 +86,7 @@ class RotationDriver(DrivenJoint):
         return c
 
     def moving(self, p: Array, reference: Array) -> tuple[JointEquations, ...]:
-        """Return the coefficients that go with the cosine and with the sine of the angle."""
+        """Return the coefficients multiplied by the cosine and by the sine of the angle."""
         a = self._axis(p)
         if self.other is None:
             cosine = self._against_ground(p, reference, lambda m: m - (a @ m) * a)
@@ -96,23 +96,26 @@ class RotationDriver(DrivenJoint):
         return cosine, self._against_section(p, reference, ((e_1, -e_1), (e_2, -e_2)))
 
     def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
-        """Whether the derivative in the angle has the sign that it has in the reference."""
+        """Whether the section is at the prescribed angle, not half a turn away from it.
+
+        There the derivative of the equation in the angle has the sign that it has in the reference.
+        """
         cosine, sine = self.moving(p, reference)
         on_cosine, on_sine = self.by_turn(p, np.array([t]))[:, 0]
         rate = on_cosine * cosine.at(U)[0] + on_sine * sine.at(U)[0]
         return bool(rate * sine.at(reference)[0] > 0)
 
     def by_turn(self, p: Array, t: Array) -> Array:
-        """Minus sine and cosine of the angle."""
+        """Return the derivatives of cosine and sine in the angle, -sin and cos, shape (2, k)."""
         cosine, sine = self.factors(p, t, 0)
         return np.array([-sine, cosine])
 
     def turn_rate(self, p: Array, t: Array) -> Array:
-        """Rate of the prescribed angle at times t; rad/s."""
+        """Return the rate of the prescribed angle at times t, shape (k,); rad/s."""
         return self.angle.derivative(self.split(p)[0], t, 1)
 
     def factors(self, p: Array, t: Array, order: int) -> Array:
-        """Cosine and sine of the angle."""
+        """Return cosine and sine of the angle, or a time derivative of them, shape (2, k)."""
         law = self.split(p)[0]
         return cosine_and_sine([self.angle.derivative(law, t, k) for k in range(order + 1)])
 
@@ -123,10 +126,10 @@ class RotationDriver(DrivenJoint):
         part: Callable[[Array], Array],
         still: bool = False,
     ) -> JointEquations:
-        """Part of the sum over the axes w of the section of F w . R m_w, with R the turn.
+        """Return the part of sum_w F w . R m_w over the section axes w that `part` selects of m_w.
 
-        m_w = (a - 1/2 (a . n) n) x w: in the reference a turn phi of the section changes F w . m_w
-        by a . phi in all (docs/theory/03-joints-and-loads.md).
+        R rotates by the prescribed angle. m_w = (a - 1/2 (a . n) n) x w: in the reference a
+        rotation phi of the section changes the sum by a . phi (docs/theory/03-joints-and-loads.md).
         """
         d, a = slopes.shape[1], self._axis(p)
         n, axes, weights = spanned(slopes)
@@ -143,7 +146,10 @@ class RotationDriver(DrivenJoint):
     def _against_section(
         self, p: Array, reference: Array, pairs: Sequence[tuple[Array, Array]]
     ) -> JointEquations:
-        """Part of 1/2 (F e_1 . F' R e_2 - F e_2 . F' R e_1), with R the turn."""
+        """Return the part of 1/2 (F e_1 . F' R e_2 - F e_2 . F' R e_1) in the given `pairs`.
+
+        R rotates by the prescribed angle; F and F' carry directions along with the two sections.
+        """
         section, other = sections(self.points, reference)
         c = empty_equations(len(self.coefficients(p, reference).offset), p, reference)
         for e, e_other in pairs:
@@ -156,7 +162,10 @@ class RotationDriver(DrivenJoint):
 
 
 def cosine_and_sine(theta: Sequence[Array]) -> Array:
-    """Return the time derivative of cos and sin of an angle, of the order of its last one given."""
+    """Return (cos, sin) of an angle, or their time derivative, shape (2, ...).
+
+    `theta` holds the angle and its time derivatives up to the order of the result.
+    """
     angle, order = theta[0], len(theta) - 1
     e, e_n = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
     if order == 0:
@@ -171,21 +180,22 @@ def cosine_and_sine(theta: Sequence[Array]) -> Array:
 @final
 @dataclass(frozen=True)
 class TranslationDriver(Travelling):
-    """Move a point along a direction by a law of time.
+    """Prescribe the displacement of a point along a direction by a law of time.
 
-    direction . (r(point) - r(other)) = x(t) more than in the reference configuration, the ground
-    having r = 0. The section of `other` carries the direction along; if the direction does not lie
-    in it, it keeps at right angles to its centre line. Design targets: ``direction_x`` ... and the
-    parameters of the law.
+    direction . (r(point) - r(other)) exceeds its value in the reference configuration by x(t), with
+    r(other) = 0 for the ground. The section of `other` carries the direction along; if the
+    direction does not lie in the section, the section stays perpendicular to its centre line.
+    Design targets: ``direction_x`` ... and the parameters of the law.
 
     Parameters
     ----------
     point : MaterialPoint
     direction : sequence of float
-        Not zero; its length does not count.
+        Direction, not zero; its length has no effect (dimensionless).
     travel : Law
+        Displacement x(t); m.
     other : MaterialPoint, optional
-        Point of another beam, whose section carries the direction; without it it is fixed.
+        Point of another beam, whose section carries the direction; by default it is fixed in space.
     """
 
     other: MaterialPoint | None = None
@@ -195,14 +205,14 @@ class TranslationDriver(Travelling):
     takes_part = SECTION
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return the position to ground; both positions and the slopes of the other point."""
+        """Return the vectors that take part: positions, and the slopes of the other point."""
         if self.other is None:
             return ((self.point, Quantity.POSITION),)
         first, second, *slopes = super().vectors(elements)
         return (first, second, *slopes[elements.d :])
 
     def coefficients(self, p: Array, reference: Array) -> JointEquations:
-        """Direction . (r - r') as in the reference."""
+        """Return the coefficients of direction . (r - r') as in the reference configuration."""
         e = unit(self.split(p)[0])
         others = sections(self.points[1:], reference)
         carrier = carrier_of(others)
@@ -212,7 +222,7 @@ class TranslationDriver(Travelling):
         return c
 
     def moving(self, p: Array, reference: Array) -> tuple[JointEquations, ...]:
-        """Return the coefficients that go with the law: an offset along the direction."""
+        """Return the coefficients multiplied by the law: an offset of one along the direction."""
         c = self.coefficients(p, reference)
         travel = empty_equations(len(c.offset), p, reference)
         travel.offset[0] = 1.0

@@ -1,4 +1,4 @@
-"""Directions of joints: across a given one, and carried along by ground or by a section."""
+"""Directions in joints: fixed to ground or carried along by a section, and across another."""
 
 import abc
 from collections.abc import Sequence
@@ -13,29 +13,29 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.rotations import in_space
 from ancfdae.numerics.vector_formulas import cross
 
-# A direction this much out of a section, as the sine of the angle, is not in it, where another
-# section carries it: right angles that this one keeps then are equations more. It is no tolerance:
-# directions of design variables may move within their kind.
+# Sine of the angle between a direction and a section above which the direction does not count as
+# lying in it; the joint then also keeps right angles of the section, by further equations. It is
+# not a tolerance: a design variable may rotate directions as long as they stay on their side of it.
 OUT_OF_PLANE = 0.1
-# Up to this sine s the linear equations of an axis fixed to ground do. A moment across it stretches
-# the section through them by a share s, which turns it by s^2: 2e-3 of the deflection of a beam
-# three times its height at s = 0.05, 7e-7 here, less than the squared strains by which the general
-# equations differ at s = 0. Design variables may turn the axis within it, with the right gradient.
+# Sine s between axis and section up to which linear equations hold an axis fixed to ground. With
+# them a moment across the axis stretches the section by a fraction s, which rotates it by s^2: 2e-3
+# of the deflection of a beam three times its height at s = 0.05, 7e-7 here, less than the squared
+# strains by which the general equations differ at s = 0. Gradients are right for axes up to it.
 _LINEAR = 1e-3
 
 
 def unit(vector: Array) -> Array:
-    """Return the vector over its length; complex perturbations go through."""
+    """Return the vector divided by its length; real or complex."""
     # Scaled first, so that no square under- or overflows.
     scaled: Array = vector / np.max(np.abs(vector.real))
     return scaled / np.sqrt(np.sum(scaled * scaled))
 
 
 def across(direction: Array) -> Array:
-    """Return d - 1 orthonormal vectors across a direction, shape (d - 1, d).
+    """Return d - 1 orthonormal vectors perpendicular to a direction, shape (d - 1, d).
 
-    In space the first one is as near as possible to the coordinate axis that is most across,
-    the earlier one on a tie: for the z axis the vectors are x and y.
+    In space the first one is as near as possible to the coordinate axis that is most perpendicular
+    to the direction, the earlier axis on a tie: for the z axis the vectors are x and y.
     """
     direction = unit(direction)
     if len(direction) == 2:
@@ -47,20 +47,20 @@ def across(direction: Array) -> Array:
 
 
 def normal_of(spanning: Array) -> Array:
-    """Return the unit normal of the section that slopes span: (1, 2) in the plane, (2, 3)."""
+    """Return the unit normal, (d,), of the section that slopes span, shape (d - 1, d)."""
     if spanning.shape[1] == 2:
         return unit(np.array([spanning[0, 1], -spanning[0, 0]]))
     return unit(cross(*spanning))
 
 
 class Carrier(abc.ABC):
-    """Base of a section or the ground, which carries directions of the reference along."""
+    """Base class of a section or the ground, which carry directions of the reference along."""
 
     @abc.abstractmethod
     def meet(
         self, c: JointEquations, row: int, weights: Array, direction: Array, factor: float = 1.0
     ) -> None:
-        """Add factor (sum_i own_i U_i) . (the direction, carried along) to an equation."""
+        """Add factor (sum_i weights_i U_i) . (`direction` carried along) to equation `row`."""
 
 
 @final
@@ -70,7 +70,7 @@ class Ground(Carrier):
     def meet(
         self, c: JointEquations, row: int, weights: Array, direction: Array, factor: float = 1.0
     ) -> None:
-        """Add factor times (direction . weighted sum of vectors) to a row: linear coefficients."""
+        """Add factor (sum_i weights_i U_i) . `direction` to equation `row`: linear coefficients."""
         c.linear[row] += factor * np.outer(weights, direction)
 
 
@@ -79,9 +79,9 @@ class SectionFrame(Carrier):
     """The section of a point, by its d slopes among the vectors of a joint.
 
     A direction w of the reference is carried along as F w, the combination of the slopes that
-    equals w in the reference. One across the normal is a matter of the section alone; of the others
-    the centre line has a part, which shears against the section. `normal` is that of the section in
-    the reference, shape (d,).
+    equals w in the reference. If w lies in the section, F w depends on the section alone; otherwise
+    also on the centre line, which shears against the section. `normal` is the unit normal of the
+    section in the reference, shape (d,).
     """
 
     def __init__(self, point: MaterialPoint, reference: Array, first: int) -> None:
@@ -100,7 +100,7 @@ class SectionFrame(Carrier):
     def meet(
         self, c: JointEquations, row: int, weights: Array, direction: Array, factor: float = 1.0
     ) -> None:
-        """Add the same with the direction carried by the section: bilinear entries."""
+        """Add factor (sum_i weights_i U_i) . F `direction` to equation `row`: bilinear ones."""
         product = factor * np.outer(weights, self.carried(direction))
         c.bilinear[row] += product + product.T
 
@@ -109,32 +109,33 @@ class SectionFrame(Carrier):
         return abs(float((direction @ self.normal).real))
 
     def holds(self, direction: Array) -> bool:
-        """Tell whether a unit direction lies in the section, or nearly so."""
+        """Whether a unit direction lies in the section, up to OUT_OF_PLANE."""
         return self.share(direction) < OUT_OF_PLANE
 
     def take_out_shear(self, c: JointEquations, row: int, e: Array, factor: float) -> None:
-        """Add to a turn of all slopes about e what makes it that of the section.
+        """Add the term that turns the mean rotation of all slopes into that of the section.
 
-        Their mean turn, that of the skew part of F, holds half of the shear strain E n of the
-        centre line against the section: e . phi = e . omega - 1/2 F n . F (e x n).
+        The mean rotation omega about e, of the skew part of F, contains half of the shear strain E
+        n of the centre line against the section: e . phi = e . omega - 1/2 F n . F (e x n).
         """
         e_n = cross(e, in_space(self.normal))[: len(self.normal)]
         self.meet(c, row, self.carried(self.normal), e_n, -factor / 2)
 
     def flat(self) -> tuple[RightAngle, ...]:
-        """Return the right angle in the section, as a joint keeps it that turns the section.
+        """Return the right angle within the section, kept by joints that rotate the section.
 
-        Were it free, a torque would act on one axis of the section and turn it against the other.
+        If it were free, a torque would act on one axis of the section and rotate it against the
+        other.
         """
         return flat_angle(self.point) if len(self.normal) == 3 else ()
 
     def square(self) -> tuple[RightAngle, ...]:
-        """Return all right angles, as a joint keeps them that carries directions off it."""
+        """Return all right angles of a section, kept by joints with directions out of it."""
         shear = [Quantity.SLOPE_Y, Quantity.SLOPE_Z][: len(self.normal) - 1]
         return (*self.flat(), *(_angle(self.point, Quantity.SLOPE_X, other) for other in shear))
 
     def place_right_angle(self, c: JointEquations, row: int, angle: RightAngle) -> None:
-        """Enter F w . F w' = 0 for two of its axes."""
+        """Enter F w . F w' = 0 for the two section axes of `angle` as equation `row`."""
         y = unit(self._slopes[1])
         axes = [self.normal, y] if len(y) == 2 else [self.normal, y, cross(self.normal, y)]
         first, second = (axes[quantity - 1] for quantity in sorted(angle.slopes))
@@ -142,7 +143,7 @@ class SectionFrame(Carrier):
 
 
 def flat_angle(point: MaterialPoint) -> tuple[RightAngle, ...]:
-    """Return the right angle in a section in space."""
+    """Return the right angle between the height and width axes of a spatial section."""
     return (_angle(point, Quantity.SLOPE_Y, Quantity.SLOPE_Z),)
 
 
@@ -158,12 +159,15 @@ def sections(points: Sequence[MaterialPoint], reference: Array) -> list[SectionF
 
 
 def carrier_of(others: Sequence[SectionFrame]) -> Carrier:
-    """Return the section of the other point, or the ground."""
+    """Return the section of the second point of a joint, or the ground."""
     return others[0] if others else Ground()
 
 
 def square(carrier: Carrier, unless_it_holds: Array | None = None) -> tuple[RightAngle, ...]:
-    """Return the right angles of sections that carry directions; angles within them may suffice."""
+    """Return the right angles of a section that carries directions; none for the ground.
+
+    The angle within the section suffices if the section holds the direction `unless_it_holds`.
+    """
     if not isinstance(carrier, SectionFrame):
         return ()
     enough = unless_it_holds is not None and carrier.holds(unless_it_holds)
@@ -171,7 +175,7 @@ def square(carrier: Carrier, unless_it_holds: Array | None = None) -> tuple[Righ
 
 
 def place_shapes(c: JointEquations, at: Sequence[SectionFrame]) -> None:
-    """Enter the last equations, the right angles of sections."""
+    """Enter the right angles of sections, `c.shapes`, as the last equations."""
     points = (section.point for section in at)
     places = dict(zip(((x.beam, x.fraction, x.before) for x in points), at, strict=True))
     for row, angle in enumerate(c.shapes, len(c.offset) - len(c.shapes)):
@@ -179,33 +183,33 @@ def place_shapes(c: JointEquations, at: Sequence[SectionFrame]) -> None:
 
 
 def is_fixed_in(section: SectionFrame, carrier: Carrier, axis: Array) -> bool:
-    """Tell whether an axis is fixed to ground and lies in the section: linear equations do then."""
+    """Whether an axis is fixed to ground and lies in the section: then equations are linear."""
     return isinstance(carrier, Ground) and section.share(axis) < _LINEAR
 
 
 def axis_torque(section: SectionFrame, axis: Array) -> tuple[RightAngle, ...]:
-    """Return the right angle through which a section feels a torque about an axis off it."""
+    """Return the right angle that transmits a torque about an axis outside the section."""
     return () if section.holds(axis) else section.flat()
 
 
 def axis_shapes(section: SectionFrame, carrier: Carrier, axis: Array) -> tuple[RightAngle, ...]:
-    """Return the right angles that `hold_axis` stands on."""
+    """Return the right angles of sections that a joint of type `hold_axis` keeps."""
     return section.flat() + square(carrier, unless_it_holds=axis)
 
 
 def hold_axis(
     c: JointEquations, rows: slice, section: SectionFrame, carrier: Carrier, axis: Array
 ) -> None:
-    """Enter two equations: the axis stays where the carrier has it, as the section has it.
+    """Enter two equations: the axis carried by the section equals the axis of the carrier.
 
-    With e_1, e_2 across the axis a they say F e_j . a = 0, less the strain of the slopes that would
-    count as a turn of the section: 1/2 F e_j . F a + 1/2 F n . F ((e_j x a) x n).
-    They are exact in every rigid motion and in turns about the axis of any size.
+    With e_1, e_2 across the axis a they are F e_j . a = 0, less the strain of the slopes that would
+    count as a rotation of the section: 1/2 F e_j . F a + 1/2 F n . F ((e_j x a) x n). They are
+    exact in every rigid motion and in rotations about the axis of any size.
     """
     for row, e in zip(range(rows.start, rows.stop), across(axis), strict=True):
         if is_fixed_in(section, carrier, axis):
-            # The same, linear: (R a - a) . e_j = 0 with R a = F (a - s n) + s R n, s = a . n. What
-            # turns about a fixed a has R n = s a + a x F (n x a): no shear is left in it.
+            # The same, linear: (R a - a) . e_j = 0 with R a = F (a - s n) + s R n, s = a . n. For a
+            # rotation about a fixed a, R n = s a + a x F (n x a): no shear is left in it.
             s, n = axis @ section.normal, section.normal
             carrier.meet(c, row, section.carried(axis - s * n), e)
             carrier.meet(c, row, section.carried(s * cross(n, axis)), cross(e, axis))
@@ -216,10 +220,10 @@ def hold_axis(
 
 
 def hold_turn(c: JointEquations, rows: slice, section: SectionFrame, other: SectionFrame) -> None:
-    """Enter one equation for every turn of a section against another.
+    """Enter one equation for every rotation of a section against another one.
 
-    e . (phi - phi') = 1/2 (F e_1 . F' e_2 - F e_2 . F' e_1), e_1 x e_2 = e, less the shear of the
-    section and of the other one.
+    e . (phi - phi') = 1/2 (F e_1 . F' e_2 - F e_2 . F' e_1), e_1 x e_2 = e, less the shear of both
+    sections.
     """
     d = len(section.normal)
     turns = [(0, 1)] if d == 2 else [(0, 1), (1, 2), (2, 0)]
@@ -235,7 +239,7 @@ def hold_turn(c: JointEquations, rows: slice, section: SectionFrame, other: Sect
 def hold_place(
     c: JointEquations, row: int, carrier: Carrier, e: Array, offset: Array | float
 ) -> None:
-    """Enter e . (r - r') = offset, where e is carried along; r' = 0 on the ground."""
+    """Enter e . (r - r') = offset with e carried along by the carrier; r' = 0 on the ground."""
     gap = np.zeros(c.linear.shape[1])
     gap[0] = 1.0
     if isinstance(carrier, SectionFrame):
@@ -245,10 +249,11 @@ def hold_place(
 
 
 def fix_turn(c: JointEquations, row: int, slopes: Array, first: int) -> None:
-    """Enter that a section does not turn: one equation in the plane, 4 in space; or a tangent.
+    """Enter that a section does not rotate: one equation in the plane, 4 in space.
 
-    The fourth is the right angle in the section. `slopes` are those that span it, vectors `first`
-    and on. The one of a line, as all in the plane are, keeps its direction: d - 1 equations.
+    The fourth is the right angle in the section. `slopes` are the slopes that span the section,
+    `first` the index of the first of them among the vectors. A single slope, as always in the
+    plane, keeps its direction: d - 1 equations.
     """
     if len(slopes) == 1:
         for k, e in enumerate(across(slopes[0])):
@@ -261,9 +266,9 @@ def fix_turn(c: JointEquations, row: int, slopes: Array, first: int) -> None:
 
 
 def spanned(slopes: Array) -> tuple[Array, Array, Array]:
-    """Return the normal of a section, its axes, and the weights of its slopes that equal each.
+    """Return the normal of a section, its axes, and the slopes' weights for each axis.
 
-    The slopes are those that span it; directions have three components, in the plane too.
+    The rows of `slopes` span the section; directions have three components, in the plane too.
     """
     first = unit(in_space(slopes[0]))
     if slopes.shape[1] == 2:

@@ -5,9 +5,9 @@ that take part and gives the coefficients of its equations,
 
     Phi_r = sum_i linear_ri . U_i + 1/2 sum_ij bilinear_rij U_i . U_j - offset_r = 0.
 
-The assembler turns the coefficients of all joints at once into constraints,
-Jacobians, (Phi_q^T lam)_q, the right sides of the velocity, acceleration and
-jerk equations, and all design derivatives.
+`assembly` turns the coefficients of all joints into constraints, Jacobians,
+(Phi_q^T lam)_q, the right-hand sides of the velocity, acceleration and jerk
+equations, and all design derivatives.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from ancfdae.model.laws.law import Law, require_law
 from ancfdae.model.parts import Elements, Normal, Part, Sign, Vectors
 from ancfdae.numerics.arrays import Array
 
-#: Position and all slopes take part, as many as space has dimensions.
+#: `Joint.takes_part` of joints that depend on position and all slopes (d of them) of each point.
 SECTION = tuple(Quantity)
 
 
 @final
 @dataclass(frozen=True)
 class RightAngle:
-    """Two of the directions x, y and z of the section at a point, which a joint keeps square.
+    """Two of the directions x, y and z of a section that a joint keeps perpendicular.
 
-    It says nothing of a section that is rigid, and nothing new where another joint has said it.
+    For a rigid section, or if another joint keeps the angle already, it gives no equation.
     """
 
     beam: str
@@ -53,24 +53,23 @@ class JointEquations:
     Equation r is sum_i linear[r, i] . U_i + sum_ij bilinear[r, i, j] U_i . U_j / 2 = offset[r] in
     the vectors U of the joint, shape (n_vectors, d): `linear` has the shape
     (n_rows, n_vectors, d), `bilinear` (n_rows, n_vectors, n_vectors) and is symmetric in i and j,
-    `offset` (n_rows,). `shapes` may name what the last rows hold, where that is the shape of a
-    section only.
+    `offset` (n_rows,). `shapes` names the right angles that the last rows keep, one each.
     """
 
     linear: Array  # (n_rows, n_vectors, d)
     bilinear: Array  # (n_rows, n_vectors, n_vectors): symmetric in the vectors
     offset: Array  # (n_rows,)
-    # What the last rows hold, one each: the shape of sections only. The assembler leaves out those
-    # that are held without them.
+    # Right angles of sections that the last rows keep, one each. `assembly` leaves out rows whose
+    # right angle is kept already.
     shapes: tuple[RightAngle, ...] = ()
 
     def at(self, U: Array) -> Array:
-        """Return the value of the equations at vectors, shape (n_vectors, d) to (n_rows,)."""
+        """Return the residuals of the equations, shape (n_rows,), at vectors U, (n_vectors, d)."""
         products = np.einsum("rij,ix,jx->r", self.bilinear, U, U)
         return np.einsum("rix,ix->r", self.linear, U) + products / 2 - self.offset
 
     def without(self, dropped: Sequence[int]) -> JointEquations:
-        """Return the equations without some of them."""
+        """Return the equations without the rows `dropped`."""
         if not dropped:
             return self
         kept = np.delete(np.arange(len(self.offset)), dropped)
@@ -79,7 +78,7 @@ class JointEquations:
     def at_points(
         self, before: Sequence[MaterialPoint], after: Sequence[MaterialPoint]
     ) -> JointEquations:
-        """Return the same equations of a joint that has points `after` instead of `before`."""
+        """Return the same equations with the points `before` in `shapes` replaced by `after`."""
         pairs = zip(before, after, strict=True)
         places = {(x.beam, x.fraction, x.before): (y.beam, y.fraction, y.before) for x, y in pairs}
         shapes = (RightAngle(*places[x.beam, x.fraction, x.before], x.slopes) for x in self.shapes)
@@ -90,12 +89,12 @@ class Joint(Part):
     """A joint between points of beams or to ground; fields and names as in `Part`."""
 
     role = "joint"
-    #: What takes part of every point; its position, or `SECTION`, say.
+    #: Vectors of each point that the equations depend on: its position, or `SECTION`.
     takes_part: ClassVar[tuple[Quantity, ...]] = (Quantity.POSITION,)
     #: Whether the first d equations equate positions: their multipliers are then minus the reaction
     #: force on the first point.
     holds_position: ClassVar[bool] = False
-    #: Sign in pictures, and whether ground is drawn below it where it has no other point.
+    #: Symbol in pictures, and whether ground is drawn below it if the joint has no other point.
     sign: ClassVar[Sign] = Sign("joint", "*")
     shows_ground: ClassVar[bool] = True
     #: The field that holds the axis, or the direction in which the joint moves.
@@ -103,13 +102,14 @@ class Joint(Part):
 
     @property
     def way(self) -> Sequence[float] | None:
-        """Axis, or direction in which the joint moves, that pictures show."""
+        """Axis, or direction in which the joint moves, shown in pictures; None if it has none."""
         return None if self.way_field is None else getattr(self, self.way_field)
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return the vectors that take part: positions first, then slopes point by point.
+        """Return the vectors in the equations: positions first, then slopes point by point.
 
-        A planar element without a section turns with its tangent; a spatial one is refused.
+        For a planar element without a section, the normal of its tangent replaces the section
+        slope.
         """
         chosen = [quantity for quantity in self.takes_part if quantity <= elements.d]
         positions = [(point, q) for q in chosen if q is Quantity.POSITION for point in self.points]
@@ -123,32 +123,32 @@ class Joint(Part):
 
     @property
     def driven(self) -> bool:
-        """Whether laws of time move it."""
+        """Whether the equations depend on time by a law."""
         return False
 
     def state_masses(self) -> tuple[float, ...]:
-        """Return the masses of its `states`, coordinates of its own; kg."""
+        """Return the masses, kg, of the coordinates that the joint adds (`states`)."""
         return ()
 
     @property
     def by_slopes(self) -> bool:
-        """Whether equations follow from the class, `p` and the slopes of the reference alone.
+        """Whether the equations depend on class, `p` and reference slopes only, not on positions.
 
-        Joints of such a kind with the same numbers have the same equations, wherever they stand.
+        Such joints with equal numbers share their equations.
         """
         return False
 
     @abc.abstractmethod
     def coefficients(self, p: Array, reference: Array) -> JointEquations:
-        """Return the coefficients, of a driven joint those that do not depend on time.
+        """Return the coefficients of the equations; for a driven joint the part constant in time.
 
-        `p` has the values of `parameters`, as `split` takes them, and `reference` the vectors in
-        the reference configuration, (n_vectors, d); complex ones must go through.
+        `p` holds the values of `parameters`, as `split` takes them, and `reference` the vectors in
+        the reference configuration, (n_vectors, d); both may be complex.
         """
 
     @final
     def checked_coefficients(self, p: Array, reference: Array) -> JointEquations:
-        """Return the coefficients; InvalidInputError if their arrays do not fit their vectors."""
+        """Return `coefficients`; InvalidInputError if the shapes of its arrays are wrong."""
         where, (n, d) = f"coefficients of joint {self.name!r}", reference.shape
         c: object = self.coefficients(p, reference)
         require_kind(where, c, (JointEquations,), "Fill in the arrays of `empty_equations`.")
@@ -162,33 +162,33 @@ class Joint(Part):
         return c
 
     def moving(self, p: Array, reference: Array) -> tuple[JointEquations, ...]:
-        """Return the coefficients that go with each of the `factors`; see `coefficients`."""
+        """Return the coefficients multiplied by each law factor of time; none by default."""
         return ()
 
     def factors(self, p: Array, t: Array, order: int) -> Array:
-        """Return the time derivative of this order, 0 to 3, of the factors.
+        """Return the time derivative of order 0 to 3 of the factors of `moving`.
 
-        The instants t have the shape (k,), the result (n_factors, k).
+        The times t have the shape (k,), the result (n_factors, k).
         """
         return np.zeros((0, len(t)))
 
     def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
-        """Whether the joint stands at the angle of its law, and not half a turn away from it.
+        """Whether a driven section is at the prescribed angle, not half a turn away from it.
 
-        The equations of a driven angle are met by both positions; U are the vectors, (n, d), at t.
+        The equations hold in both positions; U are the vectors, (n, d), at t.
         """
         return True
 
     def by_turn(self, p: Array, t: Array) -> Array:
-        """Return the derivatives of the factors in a prescribed angle, (n_factors, k).
+        """Return the derivatives of the factors in a prescribed angle, shape (n_factors, k).
 
-        They are zero where the law prescribes no angle. The equations of an angle hold half a turn
-        off as well; their derivative in the angle has the opposite sign there.
+        They are zero without a prescribed angle. The equations of an angle also hold half a turn
+        away; their derivative in the angle has the opposite sign there.
         """
         return np.zeros_like(self.factors(p, t, 0))
 
     def turn_rate(self, p: Array, t: Array) -> Array:
-        """Return the rate of a prescribed angle, (k,), zero without one; rad/s."""
+        """Return the rate of a prescribed angle at times t, (k,), zero without one; rad/s."""
         return np.zeros(len(t))
 
 
@@ -197,25 +197,25 @@ class DrivenJoint(Joint):
 
     @property
     def driven(self) -> bool:
-        """Return true."""
+        """Return true: a law of time drives the joint."""
         return True
 
     @abc.abstractmethod
     def moving(self, p: Array, reference: Array) -> tuple[JointEquations, ...]:
-        """Return the coefficients that go with each of the factors of time."""
+        """Return the coefficients that each law factor of time multiplies."""
 
     @abc.abstractmethod
     def factors(self, p: Array, t: Array, order: int) -> Array:
-        """Return the factors of the moving coefficients at t, or their time derivatives."""
+        """Return the time factors of `moving` at times t, or a time derivative, (n_factors, k)."""
 
     @abc.abstractmethod
     def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
-        """Whether the vectors stand where the law says."""
+        """Whether the vectors U are at the position that the law prescribes at t."""
 
 
 @dataclass(frozen=True)
 class Travelling(DrivenJoint):
-    """A joint that moves its point along a direction, not zero, by one law, its one factor."""
+    """A joint that prescribes the displacement of its point along a direction by one law."""
 
     point: MaterialPoint
     direction: Sequence[float]
@@ -225,7 +225,7 @@ class Travelling(DrivenJoint):
     way_field = "direction"
 
     def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
-        """Return true: travel has no other side."""
+        """Return true: a prescribed displacement has only one position."""
         return True
 
     def factors(self, p: Array, t: Array, order: int) -> Array:
@@ -236,7 +236,7 @@ class Travelling(DrivenJoint):
 def empty_equations(
     rows: int, p: Array, reference: Array, shapes: Sequence[RightAngle] = ()
 ) -> JointEquations:
-    """Return coefficients, all zero, for `rows` equations and one more for each of `shapes`."""
+    """Return equations with zero coefficients: `rows` of them, and one for each right angle."""
     (n, d), dtype, rows = reference.shape, np.result_type(p, reference), rows + len(shapes)
     linear, bilinear = np.zeros((rows, n, d), dtype), np.zeros((rows, n, n), dtype)
     return JointEquations(linear, bilinear, np.zeros(rows, dtype), tuple(shapes))
@@ -245,9 +245,9 @@ def empty_equations(
 def place_coincidence(
     c: JointEquations, count: int, reference: Array, ground: Array | None
 ) -> None:
-    """Enter d first equations, U_0 - U_1 = 0 for two points, U_0 - ground = 0 for one.
+    """Enter as first d equations U_0 - U_1 = 0 for two points, U_0 - ground = 0 for one.
 
-    A ground that is not given is where U_0 is in the reference configuration.
+    By default `ground` is the position U_0 in the reference configuration.
     """
     rows = np.arange(c.linear.shape[2])
     c.linear[rows, 0, rows] = 1.0

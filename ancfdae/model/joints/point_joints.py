@@ -62,13 +62,13 @@ class Clamp(Joint):
     no_second_point = "It holds to ground; use Weld to hold two sections together."
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return the position and the slopes that span the section."""
+        """Return the vectors in the equations: the position and slopes that span the section."""
         quantities = elements.at(self.point).quantities
         slopes = quantities[2:] or quantities[1:]
         return tuple((self.point, q) for q in (Quantity.POSITION, *slopes))
 
     def coefficients(self, p: Array, reference: Array) -> JointEquations:
-        """Coincidence, and one equation for every turn."""
+        """Return the coefficients: position on the ground, and one equation per rotation."""
         d, slopes = reference.shape[1], reference[1:]
         shapes = flat_angle(self.point) if len(slopes) == 2 else ()
         c = empty_equations(d + (3 if shapes else d - 1), p, reference, shapes)
@@ -85,14 +85,14 @@ class Weld(Joint):
     The points coincide, and the sections turn as one and keep flat right angles: 3 equations in the
     plane; in space 6, and one for each section that is not rigid and that no other joint holds. As
     behind a `Clamp` a section may contract, and its centre line may leave it obliquely. To ground
-    use `Clamp`. Behind those of the force the multipliers are minus the moments on the section of
-    the point, to the order of its strain: in the plane one, in space three, about the axes that
-    were z, x and y of space in the reference.
+    use `Clamp`. The first d multipliers are minus the force on the point. The next are minus the
+    moments on its section, to the order of its strain: one in the plane, in space three, about the
+    axes that are z, x and y of space in the reference.
 
     Parameters
     ----------
     point, other : MaterialPoint
-        At the same place in the reference configuration.
+        Points of two bodies, at the same position in the reference configuration.
     """
 
     point: MaterialPoint
@@ -105,11 +105,11 @@ class Weld(Joint):
 
     @property
     def by_slopes(self) -> bool:
-        """Return true: places coincide, wherever they are."""
+        """Return true: the equations do not depend on positions."""
         return True
 
     def coefficients(self, p: Array, reference: Array) -> JointEquations:
-        """Coincidence, and one equation for every turn."""
+        """Return the coefficients: coincident points, and one equation per rotation."""
         d, (section, other) = reference.shape[1], sections(self.points, reference)
         rows = 3 if d == 2 else 6
         c = empty_equations(rows, p, reference, section.flat() + other.flat())
@@ -133,8 +133,9 @@ class MovingSupport(Travelling):
     ----------
     point : MaterialPoint
     direction : sequence of float
-        Not zero; its length does not count.
+        Direction of the base motion, not zero; its length has no effect (dimensionless).
     travel : Law
+        Displacement x(t) of the base; m.
     """
 
     kind = "base"
@@ -142,15 +143,15 @@ class MovingSupport(Travelling):
     holds_position = True
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return the vectors of a `Clamp` at the point."""
+        """Return the vectors in the equations: position and section slopes, as for a `Clamp`."""
         return Clamp(self.point).vectors(elements)
 
     def coefficients(self, p: Array, reference: Array) -> JointEquations:
-        """Return the coefficients of a `Clamp` at the point."""
+        """Return the part constant in time: the coefficients of a `Clamp` at the point."""
         return Clamp(self.point).coefficients(p[:0], reference)
 
     def moving(self, p: Array, reference: Array) -> tuple[JointEquations, ...]:
-        """Return the coefficients that go with the law: the direction of the travel."""
+        """Return the coefficients multiplied by the law: an offset along the direction."""
         still = self.coefficients(p, reference)
         c = empty_equations(len(still.offset), p, reference)
         c.offset[: reference.shape[1]] = unit(self.split(p)[0])
@@ -189,7 +190,7 @@ class Pin(Joint):
 
     @property
     def by_slopes(self) -> bool:
-        """Whether there are two points: equations to ground depend on the point's place."""
+        """Whether the equations do not depend on positions: true between two points."""
         return self.other is not None
 
     def coefficients(self, p: Array, reference: Array) -> JointEquations:
@@ -234,7 +235,7 @@ class Distance(Joint):
     needs_other_end = True
 
     def coefficients(self, p: Array, reference: Array) -> JointEquations:
-        """(|U_0 - U_1|^2 / L - L) / 2."""
+        """Return the coefficients of (|U_0 - U_1|^2 / L - L) / 2 = 0."""
         n, c = len(reference), empty_equations(1, p, reference)
         L, ground = self.split(p)
         c.bilinear[0] = np.array([[1, -1], [-1, 1]])[:n, :n] / L

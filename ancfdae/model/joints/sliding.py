@@ -1,12 +1,12 @@
 """Sliding joint: the centre line of a beam or cable runs through a point of a body or the ground.
 
-The arc length s of the line at the guide is a coordinate of its own. The line is the sum of what
-each element adds up to s,
+The arc length s of the line at the guide is an additional coordinate. The line is the sum of the
+contributions of all elements up to s,
 
     r(s) = r_0 + sum_k [r_k(xi_k) - r_k(0)],   xi_k = (s - s_k) / l_k between 0 and 1,
 
-with r_k the cubic of element k. Its position and slope are continuous at nodes, which therefore
-are no events (docs/theory/20-cables.md).
+with r_k the cubic of element k. Position and slope of the line are continuous at nodes: passing a
+node needs no event (docs/theory/20-cables.md).
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ from ancfdae.model.parts import Elements, LineVector, Sign, StateVector, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.vector_formulas import positive
 
-# Places along an element whose positions give its cubic, the end apart.
+# Locations xi along an element whose positions, with its end, define its cubic.
 _THIRDS = (0.0, 1 / 3, 2 / 3)
 
 
@@ -39,14 +39,15 @@ def _require_inside(where: str, value: object) -> None:
 @final
 @dataclass(frozen=True)
 class SlidingJoint(FormulaJoint):
-    """Let a beam or cable slide through a guide: a point of a body, or a place on the ground.
+    """Let a beam or cable slide through a guide: a point of a body, or a point on the ground.
 
     The guide stays on the centre line, r(other) - r(s) = 0, and the arc length s, counted along the
     beam in the reference configuration, is a coordinate of the joint. It starts at `fraction` of
     the length L with the rate `speed`. The multipliers are minus the force of the beam on the
     guide. Without a `SlidingFriction` the force along the beam is m_r s'', with m_r the
-    `rolling_mass`. A run whose guide leaves the beam ends there in words. The beam must not kink
-    where the guide passes. Design targets: ``fraction``, ``speed``, and ``ground_x`` ... to ground.
+    `rolling_mass`. A run whose guide leaves the beam ends there with a message. The beam must not
+    have kinks where the guide passes. Design targets: ``fraction``, ``speed``, and ``ground_x`` ...
+    to ground.
 
     Parameters
     ----------
@@ -55,9 +56,9 @@ class SlidingJoint(FormulaJoint):
     other : MaterialPoint, optional
         The guide, a point of another body.
     ground : sequence of float, optional
-        The guide, a place on the ground; m. Give either `other` or `ground`.
+        The guide, a position on the ground; m. Give either `other` or `ground`.
     fraction : float
-        Place of the guide on the beam at t = 0, between 0 and 1 (dimensionless).
+        Arc-length fraction of the guide on the beam at t = 0, between 0 and 1 (dimensionless).
     rolling_mass : float
         m_r, positive; kg. A guide with rollers of moment of inertia J and radius R has J/R^2. For a
         bead take a small part of its mass: it is that much heavier along the beam.
@@ -89,19 +90,19 @@ class SlidingJoint(FormulaJoint):
         require_positive(f"joint {self.name!r}, rolling_mass", self.rolling_mass)
 
     def row_count(self, d: int) -> int:
-        """Return d for the place of the guide, d - 1 for unused components of the vector of s."""
+        """Return 2d - 1: d for the position of the guide, d - 1 for unused components of s."""
         return 2 * d - 1
 
     def state_masses(self) -> tuple[float, ...]:
-        """Return the mass of the arc length."""
+        """Return the inertia of the arc length s, `rolling_mass`; kg."""
         return (self.rolling_mass,)
 
     def initial_states(self, p: Array) -> Sequence[Any]:
-        """Return the rate of the arc length at t = 0."""
+        """Return the rate of the arc length s at t = 0; m/s."""
         return [self.split(p)[2]]
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return the guide, positions along the beam from start to end, and the arc length."""
+        """Return the guide, positions along the beam from its start to its end, and s."""
         count = elements.counts[self.beam]
         at = [(k, xi) for k in range(count) for xi in _THIRDS]
         line = (LineVector(self.beam, *x, Quantity.POSITION) for x in (*at, (count - 1, 1.0)))
@@ -109,7 +110,7 @@ class SlidingJoint(FormulaJoint):
         return (*guide, *line, StateVector(self.name, 0))
 
     def equations(self, U: Array, p: Array, reference: Array, laws: Array) -> Any:
-        """Return the gap between guide and line, and components of the last vector to stay zero."""
+        """Return the gap between guide and line, and the unused components of the vector of s."""
         ground, fraction, _ = self.split(p)
         first = len(self.points)
         l = element_lengths(reference[first:-1])
@@ -120,7 +121,7 @@ class SlidingJoint(FormulaJoint):
     def off_route(
         self, t: Array, U: Array, V: Array, p: Array, U_o: Array
     ) -> tuple[int, str] | None:
-        """Return the first state up to which the guide has been beyond an end of the beam."""
+        """Return the index of the first state with the guide beyond an end, and a message."""
         L = sum(element_lengths(U_o[len(self.points) : -1].real))
         s = self.split(p)[1].real * L + U[:, -1, 0].real
         low, high = _reached(t, s, V[:, -1, 0].real)
@@ -156,16 +157,16 @@ def _reached(t: Array, s: Array, s_t: Array) -> tuple[Array, Array]:
 
 
 def element_lengths(X: Array) -> list[Any]:
-    """Return the lengths of elements from positions at their thirds in the reference, (3n + 1, d).
+    """Return the lengths of elements from reference positions at their thirds, (3n + 1, d).
 
-    Slopes have unit length there, so that each length is the size of the derivative in xi.
+    Slopes have unit length there, so that each length is the norm of the derivative in xi.
     """
     rates = (-11 * X[:-1:3] + 18 * X[1::3] - 9 * X[2::3] + 2 * X[3::3]) / 2
     return [np.sqrt((x * x).sum()) for x in rates]
 
 
 def line_at(s: Any, X: Array, l: Sequence[Any]) -> Any:
-    """Return the point at the arc length s of a line with positions X, (3n + 1, d), as (d,)."""
+    """Return the point at arc length s, (d,), of a line with positions X, (3n + 1, d); m."""
     r, last = X[0], len(l) - 1
     for k, length in enumerate(l):
         xi = s / length

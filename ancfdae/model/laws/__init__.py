@@ -1,1 +1,1 @@
-"""Laws of time: numbers as functions of time that drive joints and scale loads; a family a file."""
+"""Laws (functions of time) that drive joints and scale loads; one family a file."""

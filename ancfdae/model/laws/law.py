@@ -20,9 +20,10 @@ class Law(Designable, abc.ABC):
     """A function of time with parameters that design variables can drive.
 
     The first three derivatives are continuous: a prescribed motion has accelerations, and HHT-I3
-    starts with their rate. At a kink, where one of them jumps, the motion jumps in that derivative
-    too; a fixed step loses its order there and a controlled one shrinks. A law made of pieces tells
-    their ends (`breakpoints`): controlled steps end there, and miss none.
+    starts with the rate of acceleration. Where one of these derivatives jumps, the motion jumps in
+    that derivative, too: a fixed step loses its order there and a controlled step shrinks. A
+    piecewise law returns the ends of its pieces (`breakpoints`); steps under error control end
+    there.
     """
 
     def __post_init__(self) -> None:
@@ -30,7 +31,7 @@ class Law(Designable, abc.ABC):
         self.check()
 
     def check(self) -> None:  # Most laws have nothing to add.
-        """Refuse values that do not fit together.
+        """Check values of several fields together; most laws have nothing to check.
 
         Raises
         ------
@@ -39,19 +40,19 @@ class Law(Designable, abc.ABC):
 
     @property
     def marked(self) -> bool:
-        """Whether its `breakpoints` mark all that is fast in it.
+        """Whether `breakpoints` mark all fast changes of the law.
 
-        Steps under error control find pulses of other laws themselves, unless they are shorter than
-        1/16,000 of the run.
+        Steps under error control find pulses of other laws themselves, unless these are shorter
+        than 1/16,000 of the run.
         """
         return False
 
     @abc.abstractmethod
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Return the time derivative of this order, 0 to 3; 0 is the value itself.
+        """Return the time derivative of order 0 to 3 of the law; order 0 is its value.
 
-        `p` has the values of `parameters`, possibly complex, and t is a number or an array of
-        instants; the result has the shape of t.
+        `p` holds the values of `parameters`, real or complex, and t is a time or an array of times;
+        the result has the shape of t.
         """
 
     @final
@@ -61,13 +62,13 @@ class Law(Designable, abc.ABC):
 
     @final
     def derivatives(self, p: Array, t: Any) -> tuple[Array, Array, Array, Array]:
-        """Return value and first three time derivatives."""
+        """Return the value of the law and its first three time derivatives at t, shape of t."""
         value, *rates = (self.derivative(p, t, order) for order in range(4))
         return value, rates[0], rates[1], rates[2]
 
     @final
     def at(self, t: Any, order: int = 0) -> Array:
-        """Return the value, or a time derivative, at instants."""
+        """Return the value of the law, or a time derivative of it, at times t; shape of t."""
         p = np.array(list(self.parameters().values()), dtype=float)
         return self.derivative(p, np.asarray(t, dtype=float), order)
 
@@ -83,7 +84,7 @@ def require_law(where: str, value: object) -> None:
 @final
 @dataclass(frozen=True)
 class Constant(Law):
-    """The constant law x = value."""
+    """The constant law x = value, in the unit of the quantity that it drives."""
 
     value: float
 
@@ -91,7 +92,7 @@ class Constant(Law):
     design_fields = design_numbers("value")
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Time derivative of a given order: the value, and zero from order 1 on."""
+        """Return the value, or zero for orders 1 to 3, in the shape of t."""
         return p[0] * np.full_like(t, order == 0, dtype=float)
 
 
@@ -108,7 +109,7 @@ class ConstantAcceleration(Law):
     design_fields = design_numbers("speed", "offset", "acceleration")
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Time derivative of a given order of a polynomial of degree two."""
+        """Return the time derivative of this order of a polynomial of degree two, shape of t."""
         speed, offset, acceleration = p
         x: Array = offset + speed * t + acceleration * t**2 / 2
         return (x, speed + acceleration * t, acceleration + 0 * x, 0 * x)[order]
@@ -128,7 +129,7 @@ class Harmonic(Law):
     design_fields = design_numbers("amplitude", "frequency", "phase", "offset")
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Time derivative of a given order of amplitude times sine or cosine."""
+        """Return the time derivative of this order of a harmonic law, shape of t."""
         amplitude, frequency, phase, offset = p
         wave = (np.sin if order % 2 == 0 else np.cos)(frequency * t + phase)
         sign = -1.0 if order >= 2 else 1.0
@@ -139,24 +140,25 @@ class Harmonic(Law):
 # -- passages ----------------------------------------------------------------------------------
 
 
-# The polynomial of least degree from 0 to 1 whose first three derivatives vanish at both ends.
+# The polynomial of lowest degree from 0 to 1 whose first three derivatives vanish at both ends.
 _STEP = Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
 _ORDERS = {order: _STEP.deriv(order).coef for order in range(4)} | {-1: _STEP.integ().coef}
 
 
 def passage(begin: complex, duration: complex) -> tuple[float, float]:
-    """Return the instants at which the fourth derivative of `smooth_step` jumps."""
+    """Return the times at which the fourth derivative of `smooth_step` jumps, its ends; s."""
     return begin.real, (begin + duration).real
 
 
 def smooth_step(t: Any, begin: complex, duration: complex, order: int) -> Array:
-    """Return 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7, s = (t - begin)/duration held between 0 and 1.
+    """Return S = 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7, or a time derivative of it.
 
-    Its time derivative of this order, 0 to 3, or -1 for its integral from `begin`.
+    s = (t - begin)/duration, limited to [0, 1]. `order` is 0 to 3, or -1 for the integral of S from
+    `begin`.
     """
     s = (t - begin) / duration
     held = np.where(s.real < 0, 0.0, np.where(s.real > 1, 1.0, s))
-    # By Horner's rule: a call of Polynomial costs ten times as much at one instant.
+    # By Horner's rule: a call of Polynomial costs ten times as much for one time.
     first, *others = _ORDERS[order][::-1].tolist()
     x: Array = first + 0.0 * held
     for coefficient in others:
@@ -178,11 +180,11 @@ class SmoothStep(Law):
     Parameters
     ----------
     initial, final : float
-        Values before and after the passage; the unit of what the law drives.
+        Values before and after the passage, in the unit of the driven quantity.
     duration : float
-        Positive; s.
+        Duration of the passage, positive; s.
     begin : float, optional
-        s.
+        Start of the passage; s.
     """
 
     initial: float
@@ -198,12 +200,12 @@ class SmoothStep(Law):
     )
 
     def breakpoints(self, p: Array) -> tuple[float, ...]:
-        """Begin and end of the passage."""
+        """Return start and end of the passage; s."""
         _, _, duration, begin = p
         return passage(begin, duration)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Polynomial of degree seven on the way."""
+        """Return the time derivative of this order of the smooth step, shape of t."""
         initial, final, duration, begin = p
         x: Array = (final - initial) * smooth_step(t, begin, duration, order)
         return initial + x if order == 0 else x
@@ -212,7 +214,7 @@ class SmoothStep(Law):
 @final
 @dataclass(frozen=True)
 class RunUp(Law):
-    """At rest before, with a constant rate after: the angle of a motor that runs up and is held.
+    """A run-up: constant before, at a constant rate after, such as the angle of a motor.
 
     The rate is that of a `SmoothStep` from zero to `rate`, so that at the end of the passage
     x = initial + rate duration/2.
@@ -220,13 +222,13 @@ class RunUp(Law):
     Parameters
     ----------
     rate : float
-        Rate after the run-up; the unit of what the law drives per s.
+        Rate after the run-up, in the unit of the driven quantity per s.
     duration : float
         Duration of the run-up, positive; s.
     initial : float, optional
-        Value before the run-up; the unit of what the law drives.
+        Value before the run-up, in the unit of the driven quantity.
     begin : float, optional
-        s.
+        Start of the run-up; s.
     """
 
     rate: float
@@ -242,12 +244,12 @@ class RunUp(Law):
     )
 
     def breakpoints(self, p: Array) -> tuple[float, ...]:
-        """Begin and end of the passage."""
+        """Return start and end of the run-up; s."""
         _, duration, _, begin = p
         return passage(begin, duration)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Time derivative of a given order of the integral of the smooth step in the rate."""
+        """Return the time derivative of this order of the run-up, shape of t."""
         rate, duration, initial, begin = p
         x: Array = rate * smooth_step(t, begin, duration, order - 1)
         return initial + x if order == 0 else x
@@ -258,17 +260,17 @@ class RunUp(Law):
 class Transition(Law):
     """One law before, another after: x = (1 - S) before + S after.
 
-    S passes from 0 to 1 as a `SmoothStep` does, so that three derivatives are continuous. A law in
-    more pieces is a change of a change. Design targets: ``before_...`` and ``after_...`` with the
-    names of both laws' own, ``duration`` and ``begin``.
+    S passes from 0 to 1 as a `SmoothStep` does, so that three derivatives are continuous. `before`
+    and `after` may be transitions themselves. Design targets: those of the two laws as
+    ``before_...`` and ``after_...``, ``duration`` and ``begin``.
 
     Parameters
     ----------
     before, after : Law
     duration : float
-        Of the passage, positive; s.
+        Duration of the passage, positive; s.
     begin : float
-        s.
+        Start of the passage; s.
     """
 
     before: Law
@@ -284,7 +286,7 @@ class Transition(Law):
     )
 
     def numbers_of(self, name: str) -> dict[str, float]:
-        """Return the numbers of a field by name; a law's begin with the name of the field."""
+        """Return the numbers of a field by target name; those of a law begin with the field."""
         values = super().numbers_of(name)
         if not isinstance(getattr(self, name), Law):
             return values
@@ -292,16 +294,16 @@ class Transition(Law):
 
     @property
     def marked(self) -> bool:
-        """Whether the breakpoints of both laws mark all that is fast in them."""
+        """Whether the breakpoints of both laws mark all their fast changes."""
         return self.before.marked and self.after.marked
 
     def breakpoints(self, p: Array) -> tuple[float, ...]:
-        """Breakpoints of the laws before and after, and the ends of the passage between them; s."""
+        """Return the breakpoints of both laws, and start and end of the passage; s."""
         *_, duration, begin = p
         return *super().breakpoints(p), *passage(begin, duration)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Time derivative of a given order, in the unit of what the law drives: Leibniz' rule."""
+        """Return the time derivative of this order of the transition by Leibniz' rule, at t."""
         before, after, duration, begin = self.split(p)
         x = self.before.derivative(before, t, order)
         for k in range(order + 1):

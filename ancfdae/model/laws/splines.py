@@ -1,4 +1,4 @@
-"""Smooth curves: through control values, or between bounds that control values set."""
+"""Smooth curves: through control values, or between bounds set by control values."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from ancfdae.model.design import require_numbers
 from ancfdae.model.laws.law import Law
 from ancfdae.numerics.arrays import Array, Numbers
 
-# The least degree with three continuous derivatives.
+# Lowest degree of splines with three continuous derivatives.
 _LOCAL_DEGREE = 4
 
 
 @final
 @dataclass(frozen=True)
 class BSpline(Law):
-    """A spline of degree four that stays between the least and the largest of its control values.
+    """A spline of degree four that stays between the smallest and largest of its control values.
 
-    Each value weighs a hill over five equal spans of time; the weights add up to one at all times.
-    Bounds of the values are therefore bounds of the law: an optimiser shapes a torque within
+    Each value multiplies a B-spline over five equal spans of time; these add up to one at all
+    times. Bounds of the values are therefore bounds of the law: an optimiser shapes a torque within
     the limits of its motor. Before `begin` the law has the first value, after `end` the last one;
     three derivatives are continuous. It does not pass through the values between (`Spline` does).
     Design targets: ``value[0]``, ``value[1]`` ...
@@ -36,7 +36,7 @@ class BSpline(Law):
     begin, end : float
         Times between which the law changes; s.
     values : sequence of float
-        Two or more control values, evenly over that time; the unit of what the law drives.
+        Two or more control values, evenly over that time, in the unit of the driven quantity.
     """
 
     begin: float
@@ -48,7 +48,7 @@ class BSpline(Law):
     indexed_fields: ClassVar[Mapping[str, str]] = {"values": "value"}
 
     def check(self) -> None:
-        """Refuse times and values that do not fit."""
+        """Raise InvalidInputError unless begin < end and there are two values or more."""
         require_numbers("BSpline, times", (self.begin, self.end))
         if not self.begin < self.end:
             repair = "For example BSpline(0.0, 2.0, [0.0, 5.0, -5.0, 0.0])."
@@ -59,14 +59,14 @@ class BSpline(Law):
             raise InvalidInputError("BSpline, values", "must be several", self.values, repair)
 
     def breakpoints(self, p: Array) -> tuple[float, ...]:
-        """Begin and end; the fourth derivative also jumps at the knots between them."""
+        """Return begin and end, s; the fourth derivative also jumps at the knots between them."""
         return float(self.begin), float(self.end)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Sum of control values times derivatives of their hills, shape of t."""
+        """Return the time derivative of this order of the B-spline, shape of t."""
         spans = len(p) + _LOCAL_DEGREE
         s = np.clip((np.asarray(t) - self.begin) * spans / (self.end - self.begin), 0.0, spans)
-        # Values go on as the first and the last, so that the ends are constant.
+        # The first and last values are repeated, so that the law is constant beyond its ends.
         held = np.concatenate(
             [np.repeat(p[:1], _LOCAL_DEGREE), p, np.repeat(p[-1:], _LOCAL_DEGREE)]
         )
@@ -75,7 +75,7 @@ class BSpline(Law):
 
     @cached_property
     def _hills(self) -> scipy.interpolate.BSpline:
-        """Weights of all control values over the number of the span."""
+        """B-spline basis functions, one per control value, over t in units of the knot distance."""
         count = len(self.values) + 2 * _LOCAL_DEGREE
         knots = np.arange(-_LOCAL_DEGREE, count + 1.0)
         return scipy.interpolate.BSpline(knots, np.eye(count), _LOCAL_DEGREE)
@@ -84,7 +84,7 @@ class BSpline(Law):
 # -- curves through values ---------------------------------------------------------------------
 
 
-# The least odd degree whose ends can have three given derivatives.
+# Lowest odd degree of splines that can have three given derivatives at each end.
 _SPLINE_DEGREE = 7
 
 
@@ -104,7 +104,7 @@ class Spline(Law):
     times : sequence of float
         Two or more ascending times; s.
     values : sequence of float
-        Control values, one per time; the unit of what the law drives.
+        Control values, one per time, in the unit of the driven quantity.
     period : float, optional
         Time after which the law repeats, longer than from the first time to the last; s.
     """
@@ -136,14 +136,14 @@ class Spline(Law):
             raise InvalidInputError("Spline, period", rule, self.period, repair)
 
     def breakpoints(self, p: Array) -> tuple[float, ...]:
-        """First and last time; between them six derivatives are continuous."""
+        """Return the first and last time, s; between them six derivatives are continuous."""
         return () if self.period is not None else (float(self.times[0]), float(self.times[-1]))
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Time derivative of a given order: the sum of control values times basis functions."""
+        """Return the time derivative of this order of the spline, shape of t."""
         s = (np.asarray(t) - self.times[0]) / self._unit
         last = self._basis.t[-_SPLINE_DEGREE - 1]
-        # The basis of a periodic one repeats by itself.
+        # The basis of a periodic spline repeats by itself.
         inside = s if self.period is not None else np.clip(s, 0.0, last)
         N = self._basis(inside, nu=order)
         if order and self.period is None:
@@ -152,12 +152,12 @@ class Spline(Law):
 
     @property
     def _unit(self) -> float:
-        """Mean distance of the times, the unit of the basis functions."""
+        """Mean distance of the control times, the time unit of the basis functions; s."""
         return float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
 
     @cached_property
     def _basis(self) -> scipy.interpolate.BSpline:
-        """Return for each control value the spline that is 1 at its time and 0 at all others."""
+        """Splines, one per control value, that are 1 at its time and 0 at all other times."""
         s = (np.array(self.times, dtype=float) - self.times[0]) / self._unit
         one = np.eye(len(s))
         if self.period is not None:

@@ -1,4 +1,4 @@
-"""A user's function of time."""
+"""Laws given by a user's function of time, differentiated automatically."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -9,16 +9,17 @@ import numpy as np
 
 from ancfdae.errors.checks import require_function
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import OperationList, list_values
+from ancfdae.kernels import OperationList
 from ancfdae.model.design import require_numbers
 from ancfdae.model.laws.law import Law
 from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.numerics.complex_step import FAILURES
 from ancfdae.numerics.operations import Listed, Operations
 
-# Time derivatives that joints ask for, and numbers above which derivatives are infinite.
+# Order of the highest time derivative that joints need; magnitude above which one counts as
+# infinite.
 _ORDERS, _LARGEST = 3, 1e100
-# Instants of all sizes at which a function is tried; where it is not finite it is not judged.
+# Times of all sizes at which a function is tried, s; values that are not finite are not compared.
 _TRIED = np.array([0.0, 1e-6, 1e-4, 1e-2, 1.0, 1e2])
 
 
@@ -30,11 +31,11 @@ def _require_values(where: str, value: Any) -> None:
 @final
 @dataclass(frozen=True)
 class UserLaw(Law):
-    """A function of time of a user's own, x = function(t, value[0], value[1], ...).
+    """A user-defined function of time, x = function(t, value[0], value[1], ...).
 
     Its time derivatives are formed by the rules of differentiation, exactly: it consists of
     arithmetic and NumPy's exp, log, sqrt, sin, cos, tan, sinh, cosh, tanh, arctan, square and
-    reciprocal. It works on arrays of times. A function without derivatives is refused. Design
+    reciprocal. It works on arrays of times. A function without derivatives is rejected. Design
     targets: ``value[0]``, ``value[1]`` ...
 
     Parameters
@@ -52,7 +53,7 @@ class UserLaw(Law):
 
     @cached_property
     def _lists(self) -> tuple[OperationList, ...]:
-        """The function and its first three time derivatives, as lists of t and the values."""
+        """Operation lists, in t and the values, of the function and its three time derivatives."""
         inputs = range(1 + len(self.values))
         operations = Operations(len(inputs))
         t, *p = (Listed(operations, np.array([i])) for i in inputs)
@@ -62,15 +63,15 @@ class UserLaw(Law):
         return tuple(operations.compiled(numbers, inputs) for numbers in of_order)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Time derivative of a given order, of the shape of t, by derivatives of the operations."""
+        """Return the time derivative of this order by the list of operations, shape of t."""
         t = np.asarray(t)
-        values = list_values(self._lists[order], t.reshape(-1, 1), p)
+        values = self._lists[order].values(t.reshape(-1, 1), p)
         # Lists replace 1/0 in derivatives by large numbers.
         values[np.abs(values) > _LARGEST] = np.inf
         return values.reshape(t.shape)
 
     def check(self) -> None:
-        """Raise InvalidInputError unless the law is a function with its derivatives."""
+        """Raise InvalidInputError unless the function can be differentiated in time."""
         where = "UserLaw, function"
         require_function(where, self.function)
         p = np.array(self.values, dtype=float)

@@ -1,1 +1,1 @@
-"""Loads: forces and moments on points of beams; a family a file."""
+"""Loads: forces and moments on points of bodies, contact, controllers; a family a file."""

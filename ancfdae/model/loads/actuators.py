@@ -1,4 +1,4 @@
-"""Actuators with a state: a motor with inductance, and a torque or force that lags."""
+"""Actuators with a state: a motor with inductance, and a force or torque with a lag."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,9 +27,8 @@ class DCMotor(Controller):
 
     u is the voltage and w the speed of the section at `point`, as a revolute joint turns it. The
     state ``current`` i obeys L i' = u - R i - k w. The torque is k i, and the opposite acts on
-    `other`.
-    Design targets: ``resistance``, ``inductance``, ``torque_constant``, ``initial_current``,
-    ``axis_x`` ..., and the parameters of the law.
+    `other`. Design targets: ``resistance``, ``inductance``, ``torque_constant``,
+    ``initial_current``, ``axis_x`` ..., and the parameters of the law.
 
     Parameters
     ----------
@@ -75,15 +74,15 @@ class DCMotor(Controller):
             raise InvalidInputError(where, "must not be zero", self.torque_constant, repair)
 
     def axes(self, p: Array) -> tuple[RotationAxis, ...]:
-        """Return the angle of the shaft."""
+        """Return the axis of the motor: the angle of the shaft."""
         return (RotationAxis(self.point, self.split(p)[5], self.other),)
 
     def start(self, p: Array) -> Sequence[Any]:
-        """Return the initial current."""
+        """Return the current at t = 0; A."""
         return [self.split(p)[4]]
 
     def equations(self, at: ControllerInput, p: Array) -> tuple[Sequence[Any], Sequence[Any]]:
-        """Return i' = (u - R i - k w) / L and the torque k i."""
+        """Return i' = (u - R i - k w) / L, A/s, and the torque k i, N m."""
         _, resistance, inductance, k, *_ = self.split(p)
         current = at.states[0]
         return [(at.laws[0] - resistance * current - k * at.rates[0]) / inductance], [k * current]
@@ -109,7 +108,7 @@ class FirstOrderLag(Controller):
     initial_effort : float, optional
         x at t = 0; N m or N.
     direction : sequence of float, optional
-        Direction of the force in the reference configuration; it turns with `other`.
+        Direction of the force in the reference configuration; it rotates with `other`.
     axis, other
         As in `MotorTorque`; not `axis` with a direction.
     """
@@ -148,10 +147,10 @@ class FirstOrderLag(Controller):
         return (TranslationAxis(self.point, direction, self.other),)
 
     def start(self, p: Array) -> Sequence[Any]:
-        """Return the initial effort."""
+        """Return the effort at t = 0; N m or N."""
         return [self.split(p)[2]]
 
     def equations(self, at: ControllerInput, p: Array) -> tuple[Sequence[Any], Sequence[Any]]:
-        """Return x' = (c - x) / tau and the effort x."""
+        """Return x' = (c - x) / tau and the effort x, N m or N."""
         effort = at.states[0]
         return [(at.laws[0] - effort) / self.split(p)[1]], [effort]

@@ -1,4 +1,4 @@
-"""Contact with obstacles as a load: of a point or sphere of a body, and of a beam's centre line."""
+"""Contact with obstacles as a load: a point or sphere of a body, or the line of a beam."""
 
 import abc
 from collections.abc import Sequence
@@ -34,11 +34,11 @@ from ancfdae.numerics.vector_formulas import concatenate, dot, positive
 
 
 def longest(M: Array) -> Array:
-    """Return the largest sizes of movements, (m, ..., n, d) to (..., n, 1)."""
+    """Return the largest norms of movements M, (m, ..., n, d), over m, shape (..., n, 1)."""
     return np.asarray(np.sqrt((M * M).sum(axis=-1, keepdims=True).max(axis=0)))
 
 
-#: Design fields of the force, in the order that `ContactLoad.pressed` takes them.
+#: Design fields of the contact force, in the order of the argument `p` of `ContactLoad.pressed`.
 FORCE_FIELDS = (
     ("stiffness", require_positive),
     ("radius", require_not_negative),
@@ -51,7 +51,7 @@ FORCE_FIELDS = (
 
 @dataclass(frozen=True)
 class ContactLoad(Load, abc.ABC):
-    """Base of loads of contact: normal force of Hunt and Crossley, and regularised friction."""
+    """Base class of contact loads: Hunt and Crossley's normal force, regularised friction."""
 
     stiffness: float = field(kw_only=True)
     radius: float | None = field(default=None, kw_only=True)
@@ -77,9 +77,10 @@ class ContactLoad(Load, abc.ABC):
             require_together(where, {name: getattr(self, name) for name in names})
 
     def turning(self, point: MaterialPoint, elements: Elements) -> tuple[Quantity, ...]:
-        """Return the slopes of a body that turn with an arm to its surface, where friction acts.
+        """Return the slopes that rotate with a body, needed where friction acts at a radius.
 
-        Those of a section, or all of a rigid body; none of a cable, which has no section.
+        They are the section slopes of a beam, or all directions of a rigid body; none for a cable,
+        which has no section.
         """
         quantities = tuple(Quantity)[1 : elements.d + 1]
         if self.friction is None or self.radius is None:
@@ -90,22 +91,23 @@ class ContactLoad(Load, abc.ABC):
 
     @abc.abstractmethod
     def depth(self, U: Array, signals: Array, p: Array, U_o: Array) -> Array:
-        """Return how deep surfaces lie in each other, (..., 1, 1), negative where they are apart.
+        """Return the penetration depth, (..., 1, 1), m, negative where surfaces are apart.
 
-        Arguments are arrays as of `force_at`. There is no force where it is negative.
+        The arguments are as in `force_at`. There is no force where the depth is negative.
         """
 
     @abc.abstractmethod
     def closing(self, U: Array, M: Array, signals: Array, p: Array, U_o: Array) -> Array:
-        """Return a bound of the change of `depth` along a path from U on, (..., 1, 1).
+        """Return an upper bound of the change of `depth` along a path from U, (..., 1, 1); m.
 
-        M, (m, ..., n_vectors, d), are movements: vectors move at rates between these of them.
+        M, (m, ..., n_vectors, d), are movements: along the path the rates of the vectors lie
+        between them.
         """
 
     def pressed(self, p: Sequence[Any], depth: Any, n: Any, w: Any) -> Any:
-        """Return the force on the first body from depth, normal n and relative velocity w.
+        """Return the force on the first body from depth, normal n and relative velocity w; N.
 
-        p are the values of `FORCE_FIELDS`.
+        p holds the values of `FORCE_FIELDS`.
         """
         stiffness, _, restitution, impact_speed, friction, slip_speed = p
         w_n, w_t = split_velocity(w, n)
@@ -117,7 +119,7 @@ class ContactLoad(Load, abc.ABC):
 
 
 class ObstacleContact(ContactLoad, abc.ABC):
-    """Base of contact with an obstacle: of a centre with axes, and the body that carries it."""
+    """Base class of contact of points with an obstacle on the ground or on a rigid body."""
 
     obstacle: Obstacle
     other: MaterialPoint | None
@@ -126,18 +128,18 @@ class ObstacleContact(ContactLoad, abc.ABC):
 
     @property
     def refers(self) -> bool:  # type: ignore[override]  # only what is carried has a reference
-        """Whether the force depends on the reference configuration: a body carries the obstacle."""
+        """Whether the force depends on the reference configuration: with a carrying body."""
         return self.other is not None
 
     def numbers_of(self, name: str) -> dict[str, float]:
-        """Return the numbers of a design field; of the obstacle as ``obstacle_place_x`` ..."""
+        """Return the numbers of a design field; ``obstacle_place_x`` ... for the obstacle."""
         numbers = super().numbers_of(name)
         if name != "obstacle":
             return numbers
         return {f"obstacle_{inner}": number for inner, number in numbers.items()}
 
     def check_space(self, elements: Elements) -> None:
-        """Refuse what `Part.check_space` refuses, and vectors of the obstacle that do not fit."""
+        """Raise InvalidInputError unless the load and its obstacle fit the dimension of space."""
         super().check_space(elements)
         self.obstacle.check_space(f"load {self.name!r}, obstacle", elements.d)
 
@@ -149,17 +151,17 @@ class ObstacleContact(ContactLoad, abc.ABC):
             raise InvalidInputError(f"{where}, other", rule, str(self.other), repair)
 
     def carrier_vectors(self, d: int) -> Vectors:
-        """Return the origin and the directions of the body that carries the obstacle."""
+        """Return origin and directions of the body that carries the obstacle; none on ground."""
         if self.other is None:
             return ()
         return tuple((self.other, quantity) for quantity in tuple(Quantity)[: d + 1])
 
     def _own(self, U_o: Array) -> int:
-        """Return the number of vectors of the first body; the vectors of the carrier follow."""
+        """Return the number of vectors of the first body; vectors of the obstacle's body follow."""
         return len(U_o) - (0 if self.other is None else U_o.shape[1] + 1)
 
     def _apart(self, U: Any, p: Array, U_o: Array) -> tuple[Any, Any]:
-        """Return the depth of the contact, negative where surfaces are apart, and its normal."""
+        """Return the penetration depth, negative where surfaces are apart, and the normal."""
         own, values = self._own(U_o), self.split(p)
         at, rows = U[..., own:, :], U_o[own:]
         carrier = Carrier(at[..., :1, :], at[..., 1:, :], rows[:1], rows[1:])
@@ -167,11 +169,11 @@ class ObstacleContact(ContactLoad, abc.ABC):
         return (0.0 if values[2] is None else values[2]) - distance, n
 
     def depth(self, U: Array, signals: Array, p: Array, U_o: Array) -> Array:
-        """Return the depth of the point or sphere in the obstacle, shape (..., 1, 1)."""
+        """Return the penetration depth of the point or sphere, shape (..., 1, 1); m."""
         return np.asarray(self._apart(U, p, U_o)[0])
 
     def closing(self, U: Array, M: Array, signals: Array, p: Array, U_o: Array) -> Array:
-        """Return the way of the point in the axes of the carrier, shape (..., 1, 1)."""
+        """Return an upper bound of the path of the point in axes of the carrier, (..., 1, 1); m."""
         if self.other is None:
             return longest(M[..., :1, :])
         own = self._own(U_o)
@@ -181,11 +183,11 @@ class ObstacleContact(ContactLoad, abc.ABC):
         return np.asarray(way + (np.sqrt(dot(arm, arm)) + way) * turn)
 
     def gates(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
-        """Return the depth: without one there is no force."""
+        """Return max(depth, 0), a factor with which the contact force vanishes."""
         return (positive(self._apart(U, p, U_o)[0]),)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """Return N n + T on the first body, at its surface, and the opposite on the carrier."""
+        """Return N n + T on the first body, at its surface, and the opposite on the carrier; N."""
         (depth, n), own = self._apart(U, p, U_o), self._own(U_o)
         depth = positive(depth)
         _, *values, _ = self.split(p)
@@ -207,10 +209,11 @@ class Contact(ObstacleContact):
     With the depth d, the normal n and the velocity w of the surface of the sphere relative to the
     obstacle: N = k d^m (1 - chi w_n), never negative, along n, and friction
     -mu N w_t / (|w_t|^4 + w_s^4)^(1/4). chi follows from the restitution e of a free impact at the
-    speed v (docs/theory/19-contact.md). Friction turns the body where a radius is given. It never
-    holds quite still: below w_s a force makes the body creep. Steps must resolve the contact.
-    Design targets: ``stiffness``, ``radius``, ``restitution``, ``impact_speed``, ``friction``,
-    ``slip_speed``, and ``obstacle_place_x`` ..., ``obstacle_normal_x`` ... of the obstacle.
+    speed v (docs/theory/19-contact.md). With a radius, friction also exerts a moment on the body.
+    There is no sticking: below w_s a tangential force makes the body creep. Steps must resolve the
+    contact. Design targets: ``stiffness``, ``radius``, ``restitution``, ``impact_speed``,
+    ``friction``, ``slip_speed``, and ``obstacle_place_x`` ..., ``obstacle_normal_x`` ... of the
+    obstacle.
 
     Parameters
     ----------
@@ -233,8 +236,8 @@ class Contact(ObstacleContact):
     slip_speed : float, optional
         w_s, positive; m/s.
     other : MaterialPoint, optional
-        Point of the rigid body that carries the obstacle; the ground by default. The place of the
-        obstacle is that in the reference configuration.
+        Point of the rigid body that carries the obstacle; the ground by default. The obstacle is
+        declared at its position in the reference configuration.
     """
 
     point: MaterialPoint
@@ -242,7 +245,7 @@ class Contact(ObstacleContact):
     other: MaterialPoint | None = field(default=None, kw_only=True)
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return position and axes of the point, and the vectors of the carrier."""
+        """Return position and slopes of the point, and the vectors of the carrier."""
         own = (Quantity.POSITION, *self.turning(self.point, elements))
         return (*((self.point, x) for x in own), *self.carrier_vectors(elements.d))
 
@@ -253,8 +256,9 @@ class BeamContact(ObstacleContact):
     """Contact of a beam or cable, a centre line with a radius, with a plane, sphere or cylinder.
 
     The force per unit of reference length follows the law of `Contact` for this radius; it acts
-    at Gauss points along every element, so that it does not depend on the mesh. Friction turns the
-    sections of beams; on cables it acts on the centre line. Design targets as of `Contact`.
+    at Gauss points along every element, so that it does not depend on the mesh. On beams friction
+    also exerts a moment on sections; on cables it acts on the centre line. Design targets as in
+    `Contact`.
 
     Parameters
     ----------
@@ -264,7 +268,7 @@ class BeamContact(ObstacleContact):
     stiffness : float
         k, positive; N/m^(m+1).
     radius : float, optional
-        From the centre line to the surface; m. By default the centre line touches.
+        Distance from the centre line to the surface; m. By default the centre line touches.
     points_per_element : int, optional
         Gauss points in each element, 4 by default.
     exponent, restitution, impact_speed, friction, slip_speed, other
@@ -282,7 +286,7 @@ class BeamContact(ObstacleContact):
         require_count(where, self.points_per_element, "Give the number of points.", 64)
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return, for each Gauss point, its position and axes, and the vectors of the carrier."""
+        """Return, per Gauss point, its position and slopes, and the vectors of the carrier."""
         own = (Quantity.POSITION, *self.turning(MaterialPoint(self.beam, 0.0), elements))
         carrier = self.carrier_vectors(elements.d)
         names: list[Any] = []
@@ -293,11 +297,11 @@ class BeamContact(ObstacleContact):
         return tuple(names)
 
     def copies(self, elements: Elements) -> Copies:
-        """Return one copy for each Gauss point, with the length that it stands for."""
+        """Return one copy of the load per Gauss point, with the length that it represents."""
         count, (_, weights) = elements.counts[self.beam], box_rule((self.points_per_element,))
         of = tuple((self.beam, k) for k in range(count) for _ in weights)
         return Copies(np.tile(weights, count)[:, None], {0: of})
 
     def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
-        """Return the force per length times the length that the point stands for."""
+        """Return the force per length times the length that the Gauss point represents; N."""
         return signals[..., -1:, None] * self.force(U, V, p, U_o)

@@ -1,15 +1,15 @@
-"""Forces where bodies touch: Hunt and Crossley's normal force, and regularised Coulomb friction.
+"""Contact forces: Hunt and Crossley's normal force, regularised Coulomb friction.
 
-With the depth d of a contact and the normal relative speed w_n, positive where bodies part,
+With the depth d of a contact and the normal relative speed w_n, positive where bodies separate,
 
-    N = k d^n (1 - chi w_n)   while that is positive, else 0.
+    N = k d^n (1 - chi w_n)   while this is positive, else 0.
 
-A free impact at the speed v ends at the speed e v, whatever k, n and the masses are: with u = chi v
+A free impact at the speed v ends at the speed e v, for all k, n and masses: with u = chi v
 
     u - ln(1 + u) = -e u - ln(1 - e u)    (docs/theory/19-contact.md).
 
-Friction is -mu N w_t / (|w_t|^4 + w_s^4)^(1/4) for the tangential velocity w_t: with 1 % of its
-limit missing at |w_t| = 2.2 w_s, and a linear creep below.
+Friction is -mu N w_t / (|w_t|^4 + w_s^4)^(1/4) for the tangential velocity w_t: 1 % below its limit
+at |w_t| = 2.2 w_s, and a linear creep below.
 """
 
 from typing import Any
@@ -20,9 +20,9 @@ from ancfdae.errors.checks import require_finite
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.vector_formulas import concatenate, dot, positive
 
-# Below this restitution 1 - e u has too few digits.
+# Smallest restitution e; below it 1 - e u has too few digits.
 _LEAST_RESTITUTION = 0.05
-# Arguments below which phi is a series, and its terms.
+# Argument below which `_phi` is computed by its series, and the exponents of the series.
 _SERIES, _TERMS = 0.3, np.arange(40.0)
 
 
@@ -36,7 +36,7 @@ def require_restitution(where: str, value: object) -> None:
 
 
 def _phi(x: float) -> tuple[float, float]:
-    """Return (x - ln(1 + x)) / x^2 and its derivative."""
+    """Return (x - ln(1 + x)) / x^2, which gives chi from the restitution, and its derivative."""
     if abs(x) < _SERIES:
         powers = (-x) ** _TERMS
         slope = -(_TERMS[1:] / (_TERMS[1:] + 2) * powers[:-1]).sum()
@@ -46,9 +46,9 @@ def _phi(x: float) -> tuple[float, float]:
 
 
 def damping_of(restitution: Any, speed: Any) -> Any:
-    """Return chi = u / v of a coefficient of restitution e at the impact speed v; s/m.
+    """Return the damping chi = u / v for restitution e at the impact speed v; s/m.
 
-    Numbers may have an imaginary step.
+    The numbers may have an imaginary part (complex step).
     """
     e = float(np.real(restitution))
 
@@ -64,22 +64,22 @@ def damping_of(restitution: Any, speed: Any) -> Any:
 
 
 def normal_force(depth: Any, w_n: Any, stiffness: Any, exponent: float, chi: Any) -> Any:
-    """Return k d^n, times (1 - chi w_n) while that is positive; chi None is undamped."""
+    """Return the contact force k d^n (1 - chi w_n), not negative, N; chi None: undamped."""
     spring = stiffness * (depth if exponent == 1.0 else depth**exponent)
     return spring if chi is None else spring * positive(1.0 - chi * w_n)
 
 
 def friction_force(N: Any, w_t: Any, friction: Any, slip_speed: Any) -> Any:
-    """Return -mu N w_t / (|w_t|^4 + w_s^4)^(1/4)."""
+    """Return the friction force -mu N w_t / (|w_t|^4 + w_s^4)^(1/4), shape of w_t; N."""
     squared: Any = dot(w_t, w_t)
     return -friction * N / np.sqrt(np.sqrt(squared * squared + slip_speed**4)) * w_t
 
 
 def moving_with(U: Any, V: Any, arm: Any) -> tuple[Any, Any]:
-    """Return how an arm from a point follows from the axes of its body, and its end's velocity.
+    """Return the components of an arm in the axes of its body, and the velocity of its end.
 
-    U and V are the position and the axes of the point, (..., 1 + m, d), and their rates. The parts
-    of the arm are (..., m, 1), None without axes.
+    U and V are the position and the axes of the point, (..., 1 + m, d), and their rates. The
+    components are (..., m, 1), None without axes.
     """
     axes = U[..., 1:, :]
     if not axes.shape[-2]:
@@ -89,11 +89,11 @@ def moving_with(U: Any, V: Any, arm: Any) -> tuple[Any, Any]:
 
 
 def on_body(F: Any, parts: Any) -> Any:
-    """Return the forces on the position and axes of a point from a force F at the end of an arm."""
+    """Return the forces on position and axes of a point from a force F at the end of an arm."""
     return F if parts is None else concatenate([F, parts * F])
 
 
 def split_velocity(w: Any, n: Any) -> tuple[Any, Any]:
-    """Return the normal part, (..., 1, 1), and the tangential vector of a velocity."""
+    """Return the normal component, (..., 1, 1), and the tangential vector of a velocity w."""
     w_n = dot(w, n)
     return w_n, w - w_n * n

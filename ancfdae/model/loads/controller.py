@@ -2,9 +2,9 @@
 
 A controller measures coordinates s of the mechanism (`ControlAxis`), an angle of a section or a
 displacement of a point, and laws of time r. It acts on the same coordinates with efforts e(x, s,
-s', r, r', b): torques and forces. Each state x is the rate of a coordinate y of its own with a mass
-w. So w y'' = w f is one of the equations of motion, for all integrators, sensitivity methods and
-kernels (docs/theory/17-controllers.md).
+s', r, r', b): torques and forces. Each state x is the rate of an additional coordinate y with a
+mass w. So w y'' = w f is one of the equations of motion, for all integrators, sensitivity methods
+and kernels (docs/theory/17-controllers.md).
 """
 
 from __future__ import annotations
@@ -31,37 +31,37 @@ from ancfdae.numerics.vector_formulas import concatenate
 
 
 class ControlAxis(abc.ABC):
-    """A coordinate s of the mechanism: what a controller measures, and what its effort works on.
+    """Base class of coordinates s that a controller measures and acts on with an effort.
 
-    An effort e, a torque or a force, does the work e ds, so that the forces on the vectors U of its
-    points are e s_U.
+    An effort e, a torque or a force, does the work e ds: the forces on the vectors U of its points
+    are e s_U.
     """
 
     @abc.abstractmethod
     def vectors(self, elements: Elements) -> Vectors:
-        """Return the vectors of points that the coordinate depends on."""
+        """Return the vectors of points that the coordinate s depends on."""
 
     @abc.abstractmethod
     def count(self, d: int) -> int:
-        """Return the number of vectors that the axis measures and acts on, in d dimensions."""
+        """Return the number of vectors that the coordinate depends on in d dimensions."""
 
     @abc.abstractmethod
     def coordinate(self, U: Any, U_o: Array) -> tuple[Any, Any]:
-        """Return s, (..., 1, 1), and its gradient s_U, (..., n_vectors, d).
+        """Return the coordinate s, (..., 1, 1), and its gradient s_U, (..., n_vectors, d).
 
         U are the vectors and U_o the vectors in the reference configuration, where s is zero.
         """
 
 
 def _require_points(where: str, point: object, other: object) -> None:
-    """Raise InvalidInputError unless both are points; `other` may be None."""
+    """Raise InvalidInputError unless both are material points; `other` may be None."""
     require_point(f"{where}, point", point)
     if other is not None:
         require_point(f"{where}, other", other)
 
 
 def _require_components(where: str, value: object, sizes: tuple[int, ...]) -> None:
-    """Raise InvalidInputError unless a vector is an array with a number of components."""
+    """Raise InvalidInputError unless `value` is an array with one of these sizes."""
     given = np.asarray(value)
     if given.dtype.kind not in "iufc" or given.ndim != 1 or len(given) not in sizes:
         rule = f"must be an array of {' or '.join(map(str, sizes))} numbers"
@@ -79,7 +79,7 @@ class RotationAxis(ControlAxis):
     ----------
     point : MaterialPoint
     axis : array, shape (3,), optional
-        In space, in the reference configuration; it turns with the other section. z by default.
+        Axis in space, in the reference configuration; it rotates with `other`. z by default.
     other : MaterialPoint, optional
         Section that the angle counts from and that takes the opposite torque; ground by default.
     """
@@ -94,16 +94,16 @@ class RotationAxis(ControlAxis):
             _require_components("RotationAxis, axis", self.axis, (3,))
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return the slopes that span the sections."""
+        """Return the slopes that span the sections of `point` and `other`."""
         points = (self.point,) if self.other is None else (self.point, self.other)
         return section_of(points, elements)
 
     def count(self, d: int) -> int:
-        """Return d - 1 slopes for each section."""
+        """Return the number of slopes: d - 1 for each section."""
         return (d - 1) * (1 if self.other is None else 2)
 
     def coordinate(self, U: Any, U_o: Array) -> tuple[Any, Any]:
-        """Return the angle and its gradient in the slopes."""
+        """Return the angle, (..., 1, 1), rad, and its gradient in the slopes."""
         angle, gradient = turn(U, U_o, unit_axes(self.axis))
         return angle[..., 0, :, :], gradient[..., 0, :, :]
 
@@ -117,7 +117,7 @@ class TranslationAxis(ControlAxis):
     ----------
     point : MaterialPoint
     direction : array, shape (d,)
-        In the reference configuration; it turns with the other section.
+        Direction in the reference configuration; it rotates with the section of `other`.
     other : MaterialPoint, optional
         Point that the displacement counts from and that takes the opposite force; ground by
         default.
@@ -132,17 +132,17 @@ class TranslationAxis(ControlAxis):
         _require_components("TranslationAxis, direction", self.direction, (2, 3))
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return the positions of the points, and the slopes of the section with the direction."""
+        """Return the positions of the points, and the slopes that span the section of `other`."""
         others = () if self.other is None else (self.other,)
         places = tuple((point, Quantity.POSITION) for point in (self.point, *others))
         return (*places, *section_of(others, elements))
 
     def count(self, d: int) -> int:
-        """Return one position, or two and d - 1 slopes."""
+        """Return the number of vectors: one position, or two positions and d - 1 slopes."""
         return 1 if self.other is None else d + 1
 
     def coordinate(self, U: Any, U_o: Array) -> tuple[Any, Any]:
-        """Return the displacement and its gradient in positions and slopes."""
+        """Return the displacement, (..., 1, 1), m, and its gradient in positions and slopes."""
         return travel(U, U_o, self.direction, self.other is not None)
 
 
@@ -194,7 +194,10 @@ class Controller(Load):
 
     @final
     def numbers_of(self, name: str) -> dict[str, float]:
-        """Return the numbers of a design field; of one of several laws by its field and theirs."""
+        """Return the numbers of a design field by name.
+
+        If there are several laws, the numbers of each begin with the name of its field.
+        """
         numbers = super().numbers_of(name)
         laws = [field for field, value in self._design_values() if isinstance(value, Law)]
         if len(laws) < 2 or name not in laws:
@@ -203,33 +206,34 @@ class Controller(Load):
 
     @abc.abstractmethod
     def axes(self, p: Array) -> tuple[ControlAxis, ...]:
-        """Return the coordinates that the controller measures and drives; p as in `Load.force`."""
+        """Return the coordinates that the controller measures and acts on; p as in `Load.force`."""
 
     @abc.abstractmethod
     def equations(self, at: ControllerInput, p: Array) -> tuple[Sequence[Any], Sequence[Any]]:
-        """Return the rates x' of the states, and an effort on each axis; N m or N.
+        """Return the rates x' of the states, and one effort per axis; N m or N.
 
-        In functions of NumPy. p has the values of `parameters`, as `split` takes them.
+        The formulas use functions of NumPy. p holds the values of `parameters`, as `split` takes
+        them.
         """
 
     def start(self, p: Array) -> Sequence[Any]:
-        """Return the states at t = 0; by default zero."""
+        """Return the states at t = 0, zero by default."""
         return [0.0] * len(self.states)
 
     @final
     def initial_states(self, p: Array) -> Sequence[Any]:
-        """Return the states at t = 0, one number each, as the method `start` gives them."""
+        """Return the states at t = 0, one number each, as `start` gives them."""
         given = tuple(self.start(p))
         self._require("start", given, self.states, "initial states", "state")
         return given
 
     def uses_velocity(self, driven: Collection[str]) -> bool:
-        """Return true: states are velocities."""
+        """Return true: the states are velocities of additional coordinates."""
         return True
 
     @final
     def vectors(self, elements: Elements) -> Vectors:
-        """Return the vectors of the axes, and a vector for each state."""
+        """Return the vectors of the axes, and one vector for each state."""
         states = (StateVector(self.name, k) for k in range(len(self.states)))
         axes = self.axes(np.array(list(self.parameters().values()), dtype=float))
         if not all(isinstance(axis, ControlAxis) for axis in axes):
@@ -240,7 +244,7 @@ class Controller(Load):
 
     @final
     def signals(self, p: Array, t: Array, order: int) -> Array:
-        """Return the laws and behind them their rates, or time derivatives of these, (k, n)."""
+        """Return the laws and their rates, or a time derivative of these, shape (k, n)."""
         values = zip(self._design_values(), self.split(p), strict=True)
         laws = [(x, its) for (_, x), its in values if isinstance(x, Law)]
         columns = [x.derivative(its, t, order + k) for k in (0, 1) for x, its in laws]
@@ -249,17 +253,17 @@ class Controller(Load):
         return np.stack(columns, axis=-1) if columns else np.zeros((len(t), 0))
 
     def check_laws(self, laws: Sequence[Array]) -> None:
-        """Warn of values of laws that the equations do not expect; by default none."""
+        """Warn of law values that the equations do not expect; by default no check."""
         return
 
     @final
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """Return `force_at` with the laws as they are at t = 0."""
+        """Return `force_at` with the laws at their values at t = 0."""
         return self.force_at(U, V, self.signals(p, np.zeros(1), 0), p, U_o)
 
     @final
     def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
-        """Return e s_U on the vectors of the axes, and x' on component 0 of vectors of states."""
+        """Return efforts times ds/dU as forces on the axes' vectors, and rates of the states."""
         still = 0.0 * V[..., :1, :1]
         at, gradients = self._input(U, V, signals, p, U_o)
         rates, efforts = (tuple(x) for x in self.equations(at, p))
@@ -272,7 +276,7 @@ class Controller(Load):
     def _require(
         self, method: str, given: Sequence[Any], wanted: Sequence[Any], what: str, each: str
     ) -> None:
-        """Raise InvalidInputError unless a method returns as many numbers as are wanted."""
+        """Raise InvalidInputError unless a controller's method returns as many numbers as due."""
         if len(given) != len(wanted):
             where = f"{method} of {self.kind} {self.name!r}"
             rule, repair = f"must return {len(wanted)} {what}", f"Return one for each {each}."
@@ -280,12 +284,12 @@ class Controller(Load):
 
     @final
     def effort_count(self, p: Array) -> int:
-        """Return the number of axes."""
+        """Return the number of efforts, one per axis."""
         return len(self.axes(p))
 
     @final
     def efforts_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
-        """Return the efforts on the axes, (..., 1, 1) each."""
+        """Return the efforts on the axes, shape (..., 1, 1) each; N m or N."""
         at, _ = self._input(U, V, signals, p, U_o)
         return tuple(self.equations(at, p)[1])
 
@@ -353,7 +357,7 @@ class PID(Controller):
     )
 
     def axes(self, p: Array) -> tuple[RotationAxis, ...]:
-        """Return the angle."""
+        """Return the axis of the controller: the angle of the section at `point`."""
         return (RotationAxis(self.point, self.split(p)[4], self.other),)
 
     def equations(self, at: ControllerInput, p: Array) -> tuple[Sequence[Any], Sequence[Any]]:

@@ -1,4 +1,4 @@
-"""Forces on a point or along a beam, following forces, moments, motor torques, torsion springs."""
+"""Forces on points and beams, follower forces, moments, motor torques, torsional springs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class PointForce(ConstantLoad):
     ----------
     point : MaterialPoint
     force_vector : sequence of float
-        N.
+        Components in space; N.
     """
 
     point: MaterialPoint
@@ -51,7 +51,7 @@ class DistributedForce(ConstantLoad):
     beam : str
         Name of the beam.
     force_per_length : sequence of float
-        N/m.
+        Components in space; N/m.
     """
 
     beam: str
@@ -61,7 +61,7 @@ class DistributedForce(ConstantLoad):
     design_fields = (("force_per_length", require_vector), LAW_FIELD)
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return the integral of the position over the centre line."""
+        """Return the vector that the force acts on: the integral of position over the line."""
         return (CentreLine(self.beam),)
 
 
@@ -92,7 +92,7 @@ class FollowerForce(Load):
         return tuple((self.point, quantity) for quantity in list(Quantity)[: elements.d + 1])
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """F on the position, none on the slopes."""
+        """Return the force F on the position of the point, and zero on its slopes; N."""
         axes = direction(U[..., 1:, :])[1]
         F = (self.split(p)[0][:, None] * axes).sum(axis=-2, keepdims=True)
         return concatenate([F, 0.0 * axes])
@@ -106,13 +106,13 @@ class FollowerForce(Load):
 class Moment(SectionLoad):
     """A moment on a section of a beam.
 
-    It does the work M . dphi on a turn dphi of the section. The section turns as its plane does,
-    and in this plane with the mean of its slopes: with n across r_y and r_z and r^y, r^z dual to
-    them in the plane, the force on r_k is (M - (M . n) n / 2) x r^k. In the plane of a planar
-    scene the section turns with r_y (a cable, which has none, with its tangent), and
-    the force is M x r_y / |r_y|^2 (docs/theory/03-joints-and-loads.md). Cables in space have no
-    section to take it. Design targets: ``moment`` in the plane; ``moment_x``, ``moment_y``,
-    ``moment_z`` in space.
+    It does the work M . dphi on a rotation dphi of the section. The rotation is that of the plane
+    of the section, and within this plane the mean rotation of its slopes: with n perpendicular to
+    r_y and r_z, and r^y, r^z dual to them in the plane, the force on r_k is (M - (M . n) n / 2) x
+    r^k. In a planar scene the section rotates with r_y (a cable, which has none, with its tangent),
+    and the force is M x r_y / |r_y|^2 (docs/theory/03-joints-and-loads.md). Cables in space have no
+    section on which a moment could act. Design targets: ``moment`` in the plane; ``moment_x``,
+    ``moment_y``, ``moment_z`` in space.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class Moment(SectionLoad):
     moment : float or sequence of float
         A number in the plane, from x to y; three components in space; N m.
     follower : bool, optional
-        Whether the components are along n and the height and width slopes, and turn with them,
+        Whether the components are along n and the height and width slopes, and rotate with them,
         instead of being fixed in space. In the plane there is no difference.
     """
 
@@ -156,7 +156,7 @@ class MotorTorque(SectionLoad):
     """A motor: a torque on a section about an axis, and the opposite on another section or ground.
 
     It does the work T dtheta on the angle between them (docs/theory/03-joints-and-loads.md).
-    Where they turn about the axis alone, as a revolute joint makes them, the moment is T times the
+    If the sections rotate about the axis only, as in a revolute joint, the moment is T times the
     axis. Design targets: ``torque``, ``axis_x`` ..., and the parameters of the law.
 
     Parameters
@@ -165,9 +165,9 @@ class MotorTorque(SectionLoad):
     torque : float
         T; N m.
     axis : sequence of float, optional
-        In space, in the reference configuration; it turns with the other section. z by default.
+        Axis in space, in the reference configuration; it rotates with `other`. z by default.
     other : MaterialPoint, optional
-        Body that carries the motor; the ground by default.
+        Point of the body that carries the motor; the ground by default.
     """
 
     point: MaterialPoint
@@ -181,7 +181,7 @@ class MotorTorque(SectionLoad):
     refers = True
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """Return T theta_U: the torque times the gradient of the angle in the slopes."""
+        """Return the forces T theta_U on the slopes U of a torque T about the angle theta; N m."""
         torque, axis, _ = self.split(p)
         return (torque * turn(U, U_o, unit_axes(axis))[1])[..., 0, :, :]
 
@@ -192,8 +192,8 @@ class TorsionalSpringDamper(SectionLoad):
     """Linear spring and damper about an axis between two sections, or a section and the ground.
 
     The torque on the section is -(k (theta - theta_0) + c theta'), with theta the angle from the
-    reference, between -pi and pi (docs/theory/03-joints-and-loads.md). A turn beyond pi
-    comes out at -pi: there the torque of the spring jumps, and a run does not pass. Design targets:
+    reference, between -pi and pi (docs/theory/03-joints-and-loads.md). Beyond pi the angle
+    continues at -pi: there the torque of the spring jumps, and a run cannot pass. Design targets:
     ``stiffness``, ``damping``, ``free_angle`` and ``axis_x`` ...
 
     Parameters
@@ -206,7 +206,7 @@ class TorsionalSpringDamper(SectionLoad):
     free_angle : float
         theta_0; rad.
     axis, other
-        As in `MotorTorque`; the spring is fixed to the other section, or to the ground.
+        As in `MotorTorque`; the spring is fixed to the section of `other`, or to the ground.
     """
 
     point: MaterialPoint
@@ -231,14 +231,14 @@ class TorsionalSpringDamper(SectionLoad):
     refers = True
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """Return -(k (theta - theta_0) + c theta') theta_U, forces on the slopes."""
+        """Return -(k (theta - theta_0) + c theta') theta_U, the forces on the slopes; N m."""
         k, damping, free_angle, axis, _ = self.split(p)
         theta, theta_U = turn(U, U_o, unit_axes(axis))
         torque = k * (theta - free_angle) + damping * rate_of(theta_U, V[..., None, :, :])
         return -(torque * theta_U)[..., 0, :, :]
 
     def energy(self, U: Any, p: Array, U_o: Array) -> Any:
-        """Return k (theta - theta_0)^2/2, shape (k,); J."""
+        """Return the elastic energy k (theta - theta_0)^2/2, shape (k,); J."""
         k, _, free_angle, axis, _ = self.split(p)
         theta = turn(U, U_o, unit_axes(axis))[0]
         return (k * (theta - free_angle) ** 2 / 2)[..., 0, 0, 0]

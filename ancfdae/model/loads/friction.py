@@ -1,4 +1,4 @@
-"""Friction against turning and sliding, on a curve that can be differentiated."""
+"""Friction against rotation and sliding, by a differentiable function of the speed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,8 @@ from ancfdae.model.loads.sections import rate_of, section_of, travel, turn, unit
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 
-#: Design fields of the levels, in the order that `friction` takes them, and those that damp.
+#: Design fields of the friction curve, in the order of `friction`, and those that are zero without
+#: it.
 LEVELS = (
     *design_numbers("coulomb"),
     ("smooth_speed", require_positive),
@@ -25,10 +26,10 @@ DAMPING = ("coulomb", "viscous", "breakaway")
 
 
 def friction(speed: Any, levels: tuple[Any, ...]) -> Any:
-    """Return the resistance at a relative speed w, with the sign of the speed.
+    """Return the friction force or torque at a relative speed w, with the sign of the speed.
 
-    R = (c + (b - c) exp(-(w/w_s)^2)) tanh(w/w_0) + d w: Coulomb's level c is reached from the
-    breakaway level b at speeds above w_s (Stribeck), and both are smooth below w_0. `levels` are
+    R = (c + (b - c) exp(-(w/w_s)^2)) tanh(w/w_0) + d w: above w_s the level falls from the
+    breakaway level b to Coulomb's level c (Stribeck); below w_0 the curve is smoothed. `levels` are
     c, w_0, d, b and w_s, the last two None without breakaway.
     """
     coulomb, smooth_speed, viscous, breakaway, stribeck_speed = levels
@@ -44,24 +45,24 @@ class RotationalFriction(SectionLoad):
     """Dry and viscous friction about an axis between two sections, or a section and the ground.
 
     With w = theta' the relative angular velocity the torque on the section is
-    -((c + (b - c) exp(-(w/w_s)^2)) tanh(w/w_0) + d w). The level is constant: it does not follow
-    the force in the joint. It never holds quite still: below w_0 a torque makes it creep. Steps
-    must resolve the time in which w passes w_0. Design targets: ``coulomb``, ``smooth_speed``,
-    ``viscous``, ``breakaway``, ``stribeck_speed`` and ``axis_x`` ...
+    -((c + (b - c) exp(-(w/w_s)^2)) tanh(w/w_0) + d w). The levels are constant: they do not depend
+    on the force in the joint. There is no sticking: below w_0 a torque makes the sections creep.
+    Steps must resolve the time in which w passes w_0. Design targets: ``coulomb``,
+    ``smooth_speed``, ``viscous``, ``breakaway``, ``stribeck_speed`` and ``axis_x`` ...
 
     Parameters
     ----------
     point : MaterialPoint
     coulomb : float
-        c; N m.
+        Coulomb torque c; N m.
     smooth_speed : float
-        w_0, positive; rad/s.
+        Smoothing speed w_0, positive; rad/s.
     viscous : float
-        d; N m s/rad.
+        Viscous coefficient d; N m s/rad.
     breakaway, stribeck_speed : float, optional
-        b, in N m, and w_s, positive, in rad/s.
+        Breakaway torque b; N m; and Stribeck speed w_s, positive; rad/s.
     axis, other
-        As in `MotorTorque`; the other section is that of the other part of the joint.
+        As in `MotorTorque`; `other` is a point of the second body of the joint.
     """
 
     point: MaterialPoint
@@ -86,7 +87,7 @@ class RotationalFriction(SectionLoad):
         require_together(f"load {self.name!r}", given)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """Return -R(theta') theta_U: the friction moment R times the gradient of the angle."""
+        """Return the forces -R(theta') theta_U on slopes of a friction moment R, U: slopes; N m."""
         *levels, axis, _ = self.split(p)
         theta_U = turn(U, U_o, unit_axes(axis))[1]
         speed = rate_of(theta_U, V[..., None, :, :])
@@ -98,7 +99,7 @@ class RotationalFriction(SectionLoad):
 class TranslationalFriction(Load):
     """Dry and viscous friction of a point along a line, on the ground or on another section.
 
-    With w the speed along the line the force is the curve of `RotationalFriction`, in newton.
+    With w the speed along the line, the force in N follows the curve of `RotationalFriction`.
     Design targets: ``direction_x`` ..., ``coulomb``, ``smooth_speed``, ``viscous``, ``breakaway``
     and ``stribeck_speed``.
 
@@ -106,7 +107,7 @@ class TranslationalFriction(Load):
     ----------
     point : MaterialPoint
     direction : sequence of float
-        Of the line in the reference configuration; it turns with the other section.
+        Direction of the line in the reference configuration; it rotates with `other`.
     coulomb, smooth_speed, viscous, breakaway, stribeck_speed
         As in `RotationalFriction`, in N, m/s, N s/m, N and m/s.
     other : MaterialPoint, optional
@@ -135,12 +136,12 @@ class TranslationalFriction(Load):
         require_together(f"load {self.name!r}", given)
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Positions of the points and slopes of the section that has the line."""
+        """Return the positions of the points, and the slopes of the section with the line."""
         places = tuple((point, Quantity.POSITION) for point in self.points)
         return (*places, *section_of(self.points[1:], elements))
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """-R(x') x_U with x = a . (r - r_other)."""
+        """Return -R(x') x_U with x = a . (r - r_other), the forces on the vectors; N."""
         along, *levels, _ = self.split(p)
         gradient = travel(U, U_o, along, self.other is not None)[1]
         return -friction(rate_of(gradient, V), tuple(levels)) * gradient

@@ -1,9 +1,9 @@
 """Base class of loads: forces on vectors of points as functions of these vectors.
 
 A load names vectors U_i of material points and gives the generalised force F_i
-that works on each, delta W = sum_i F_i . delta U_i, in operations that are listed
-(`numerics.operations`), so that its derivatives follow. A law of time multiplies it. The assembler
-lifts it to Q = L^T F with tangents and design derivatives.
+on each, delta W = sum_i F_i . delta U_i, as recorded operations (`numerics.operations`), from which
+its derivatives follow. A law of time multiplies it. `assembly` maps it to Q = L^T F with tangents
+and design derivatives.
 """
 
 import abc
@@ -37,12 +37,12 @@ class Copies:
     Parameters
     ----------
     own : array, shape (n, n_own)
-        Numbers of each copy, which `Load.force_at` gets behind the signals; in SI units.
+        Numbers of each copy, which `Load.force_at` receives after the signals; in SI units.
     lengths : mapping of int to tuple
-        For columns of `own` the elements, as the name of a beam and a number counted from 0 on,
-        whose lengths multiply the numbers of the copies.
+        For columns of `own`, one element per copy (beam name, index from 0) whose length multiplies
+        the number of the copy.
     parameters : array of int, shape (n, m), optional
-        Places of parameters of the load that are further own numbers of each copy.
+        Indices of parameters of the load that are further numbers of each copy.
     """
 
     own: Array
@@ -63,15 +63,15 @@ class Load(Part):
     role = "load"
     #: Whether the force depends neither on positions nor on velocities.
     constant: ClassVar[bool] = False
-    #: Whether it is a stiffness rather than a load: a search for an equilibrium, which brings up
-    #: the loads, leaves it as it is.
+    #: Whether it is a stiffness rather than a load: a search for equilibrium, which increases the
+    #: loads gradually, applies it in full from the start.
     elastic: ClassVar[bool] = False
-    #: Design fields without which the force does not depend on velocities.
+    #: Design fields that make the force depend on velocities; if all are zero it does not.
     damping_fields: ClassVar[tuple[str, ...]] = ()
     #: Whether the force depends on the reference configuration.
     refers: ClassVar[bool] = False
-    #: Whether the force may change more suddenly with positions or velocities than they change: a
-    #: run within a tolerance then looks for such places along its path.
+    #: Whether the force may change abruptly with positions or velocities: error-controlled runs
+    #: then check the path of each step for it.
     sharp: ClassVar[bool] = True
 
     #: Whether the force acts during short contacts, which the steps of a run must not pass over.
@@ -87,8 +87,8 @@ class Load(Part):
     def energy(self, U: Any, p: Array, U_o: Array) -> Any:
         """Return the elastic energy of states U, (..., n_vectors, d), shape (...); J.
 
-        Its gradient in U is minus the force at rest. Raises InvalidInputError unless the load
-        `stores` energy.
+        Its gradient in U is minus the force at zero velocity. Raises InvalidInputError unless the
+        load `stores` energy.
         """
         raise InvalidInputError(
             f"spring_energy of {self.name!r}",
@@ -107,7 +107,7 @@ class Load(Part):
             )
 
     def uses_velocity(self, driven: Collection[str]) -> bool:
-        """Whether the force depends on velocities, given the parameters that are design targets."""
+        """Whether the force depends on velocities, if `driven` are the driven parameters."""
         damping = [self.numbers_of(name) for name in self.damping_fields]
         return any(name in driven or x != 0 for numbers in damping for name, x in numbers.items())
 
@@ -115,46 +115,46 @@ class Load(Part):
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """Return the generalised forces on the vectors without the law, (..., n_vectors, d).
 
-        U and V, of the same shape, are the vectors and their time derivatives: complex arrays
-        with any leading axes (time points, perturbations), or `Carried` ones, of which one is
-        returned. p has the values of `parameters`, as `split` takes them, and U_o, (n_vectors, d),
-        the vectors in the reference configuration.
+        U and V, of this shape, are the vectors and their time derivatives: complex arrays with any
+        leading axes (time points, perturbations), or `Carried` arrays, for which one is returned. p
+        holds the values of `parameters`, as `split` takes them, and U_o, (n_vectors, d), the
+        vectors in the reference configuration.
         """
 
     def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
-        """Return `force` where laws of time other than `law` have the values `signals`, (..., n).
+        """Return `force` for the values `signals`, (..., n), of laws of time other than `law`.
 
-        By default it reads no laws.
+        By default there are no further laws.
         """
         return self.force(U, V, p, U_o)
 
     def copies(self, elements: Elements) -> Copies | None:
-        """Return the copies of a load; its `vectors` belong to one copy after the other.
+        """Return the copies of the load, whose `vectors` follow one copy after the other.
 
-        None for a load that stands once.
+        None, the default, for a single load.
         """
         return None
 
     def gates(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
-        """Return numbers of which each says by 0 that there is no force; arguments as `force_at`.
+        """Return numbers each of which is 0 where the force vanishes; arguments as in `force_at`.
 
-        What the force takes beside them is then not computed.
+        Where one is 0, the force is not computed.
         """
         return ()
 
     def signals(self, p: Array, t: Array, order: int) -> Array | None:
-        """Return the laws that `force_at` reads, or their time derivative, at times t, (k, n).
+        """Return the laws that `force_at` reads, or a time derivative, at times t, (k, n).
 
-        None without such laws.
+        None, the default, without such laws.
         """
         return None
 
     def effort_count(self, p: Array) -> int:
-        """Return the number of `efforts_at`."""
+        """Return the number of efforts that `efforts_at` returns; 0 by default."""
         return 0
 
     def efforts_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
-        """Return torques of a controller, or tensions of a rope, (..., 1, 1) each.
+        """Return torques of a controller, N m, or tensions of a rope, N, (..., 1, 1) each.
 
         Arguments as in `force_at`.
         """
@@ -162,24 +162,24 @@ class Load(Part):
 
     @final
     def factor(self, p: Array, t: Array, order: int) -> Array:
-        """Return the law, or its time derivative, at instants; shape as t."""
+        """Return the law, or a time derivative of it, at times t, shape of t; 1 without a law."""
         if self.law is None:
             return np.full(t.shape, float(order == 0))
         return self.law.derivative(p[len(p) - len(self.law.parameters()) :], t, order)
 
 
 class ConstantLoad(Load):
-    """A load of constant force on one vector, its first design field."""
+    """A load whose force on its one vector is its first design field."""
 
     constant = True
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """Return the force p on every vector, F = p."""
+        """Return the constant force on the vector, shape of U."""
         return self.split(p)[0] + np.zeros(np.shape(U))
 
 
 class SectionLoad(Load):
-    """A load on the sections of its points, on the slopes that span them."""
+    """A load on sections: on the slopes that span the sections of its points."""
 
     def vectors(self, elements: Elements) -> Vectors:
         """Return the slopes that span the sections on which the load acts."""

@@ -19,15 +19,16 @@ from ancfdae.model.design import Designable
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.vector_formulas import direction, dot
 
-#: Part of the radius below which a distance from a centre has no direction, and is bounded.
+#: Fraction of the radius that bounds distances from a centre from below: at zero they have no
+#: direction.
 CENTRE = 1e-12
 
 
 @final
 class Carrier(NamedTuple):
-    """The axes that carry an obstacle: origin and directions now, and in the reference.
+    """Axes of the body that carries an obstacle: origin and directions, now and in the reference.
 
-    Without directions, (0, d), the obstacle belongs to the ground.
+    Without directions, (0, d), the obstacle is fixed to the ground.
     """
 
     origin: Any
@@ -36,13 +37,13 @@ class Carrier(NamedTuple):
     axes_o: Array
 
     def place(self, place: Array) -> Any:
-        """Return where a place of the reference configuration is now, (1, d)."""
+        """Return the present position, (1, d), of a point given in the reference configuration."""
         if not len(self.axes_o):
             return place[None]
         return self.origin + self.turned(place - self.origin_o[0])
 
     def turned(self, vector: Array) -> Any:
-        """Return a vector of the reference configuration as the axes carry it, (1, d)."""
+        """Return a vector of the reference configuration rotated with the body, (1, d)."""
         if not len(self.axes_o):
             return vector[None]
         parts = vector @ np.linalg.inv(self.axes_o)
@@ -50,13 +51,13 @@ class Carrier(NamedTuple):
 
 
 class Obstacle(Designable, abc.ABC):
-    """A surface with an outward normal; its numbers hold in the reference configuration."""
+    """A surface with an outward normal, declared in the reference configuration."""
 
     def __post_init__(self) -> None:
         self.check_fields(type(self).__name__)
 
     def check_space(self, where: str, d: int) -> None:
-        """Raise InvalidInputError if a vector has another number of components than d."""
+        """Raise InvalidInputError if a vector of the obstacle does not have d components."""
         for name, value in self._design_values():
             if np.ndim(value) == 1:
                 require_vector(f"{where}, {name}", value, (d,))
@@ -65,7 +66,7 @@ class Obstacle(Designable, abc.ABC):
     def surface(self, c: Any, carrier: Carrier, p: Array) -> tuple[Any, Any]:
         """Return the distance of points c, (..., 1, d), from the surface, and the normal there.
 
-        The distance, (..., 1, 1), is negative inside the obstacle. p has the values of
+        The distance, (..., 1, 1), m, is negative inside the obstacle. p holds the values of
         `parameters`.
         """
 
@@ -78,9 +79,9 @@ class Plane(Obstacle):
     Parameters
     ----------
     place : sequence of float
-        A place on its surface; m.
+        A point on its surface; m.
     normal : sequence of float
-        Direction out of it, of any length; dimensionless.
+        Outward direction, of any length; dimensionless.
     """
 
     place: Sequence[float]
@@ -89,7 +90,7 @@ class Plane(Obstacle):
     design_fields = (("place", require_vector), ("normal", require_direction))
 
     def surface(self, c: Any, carrier: Carrier, p: Array) -> tuple[Any, Any]:
-        """Return n . (c - place) and the normal n."""
+        """Return the distance n . (c - place), shape (..., 1, 1), m, and the normal n."""
         place, normal = self.split(p)
         n = carrier.turned(direction(normal)[1])
         return dot(c - carrier.place(place), n), n + 0.0 * c
@@ -104,14 +105,14 @@ def _round(e: Any, radius: Any, inside: bool) -> tuple[Any, Any]:
 @final
 @dataclass(frozen=True)
 class Sphere(Obstacle):
-    """A ball that bodies stay out of, or a hollow one that they stay in; in the plane a circle.
+    """A ball that bodies stay out of, or a hollow ball that they stay in; in the plane a circle.
 
     Parameters
     ----------
     place : sequence of float
-        Its centre; m.
+        Centre of the sphere; m.
     radius : float
-        Positive; m.
+        Radius, positive; m.
     inside : bool, optional
         Whether bodies are inside, as a ball in a socket or a journal in its bearing.
     """
@@ -127,7 +128,7 @@ class Sphere(Obstacle):
         require_flag("Sphere, inside", self.inside)
 
     def surface(self, c: Any, carrier: Carrier, p: Array) -> tuple[Any, Any]:
-        """Return |c - place| - radius and the direction of c - place."""
+        """Return the distance |c - place| - radius, m, and the direction of c - place."""
         place, radius = self.split(p)
         return _round(c - carrier.place(place), radius, self.inside)
 
@@ -140,11 +141,11 @@ class Cylinder(Obstacle):
     Parameters
     ----------
     place : sequence of float
-        A place on its axis; m.
+        A point on its axis; m.
     axis : sequence of float
         Direction of the axis, of any length; dimensionless.
     radius : float
-        Positive; m.
+        Radius, positive; m.
     inside : bool, optional
         Whether bodies are inside, as a rod in a pipe.
     """
@@ -165,14 +166,14 @@ class Cylinder(Obstacle):
         require_flag("Cylinder, inside", self.inside)
 
     def check_space(self, where: str, d: int) -> None:
-        """Raise InvalidInputError in the plane, or for a vector that has not three components."""
+        """Raise InvalidInputError in the plane, or for a vector without three components."""
         if d == 2:
             rule, repair = "must be a circle in the plane", "Write Sphere(place, radius)."
             raise InvalidInputError(where, rule, "a Cylinder", repair)
         super().check_space(where, d)
 
     def surface(self, c: Any, carrier: Carrier, p: Array) -> tuple[Any, Any]:
-        """Return the distance from the axis less the radius, and the direction out of the axis."""
+        """Return the distance from the axis less the radius, m, and the radial direction."""
         place, axis, radius = self.split(p)
         a, e = carrier.turned(direction(axis)[1]), c - carrier.place(place)
         return _round(e - dot(e, a) * a, radius, self.inside)

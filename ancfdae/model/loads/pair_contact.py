@@ -1,4 +1,4 @@
-"""Contact of bodies with each other as a load: many spheres, and the centre lines of two beams."""
+"""Contact between bodies as a load: between many spheres, and between two beams."""
 
 import abc
 from collections.abc import Sequence
@@ -27,22 +27,25 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import box_rule
 from ancfdae.numerics.vector_formulas import concatenate, dot, positive
 
-# Newton iterations for the closest point of a cubic, and how far beyond its ends they may lead.
+# Newton iterations for the closest point of a cubic, and how far xi may leave [0, 1] in them.
 _ITERATIONS, _BEYOND = 6, 0.3
-# Half of the zone in which contact passes from an element to the next one, over their lengths.
+# Half of the zone in which contact passes from an element to the next one, as a fraction of length.
 _ZONE = 0.1
-# Largest weight of a slope, over the length of the element, where the closest point may lie.
+# Largest weight of a slope, over the element length, for xi up to _BEYOND outside [0, 1].
 _SLOPES = 0.51
 
 
 def _apart(e: Any, size: Any) -> tuple[Any, Any]:
-    """Return the length and the direction of e, both defined at e = 0."""
+    """Return length and direction of a vector e, both differentiable at e = 0."""
     l = np.sqrt(dot(e, e) + (CENTRE * size) ** 2)
     return l, e / l
 
 
 def _within(ends: Array, others: Array, reach: float | None) -> Array:
-    """Return the pairs of balls (place, radius), (n, d + 1), that are within reach, (k, 2)."""
+    """Return the index pairs, (k, 2), of balls whose gap is at most `reach`.
+
+    Balls are rows of position and radius, (n, d + 1); all pairs if `reach` is None.
+    """
     if reach is None:
         return np.argwhere(np.ones((len(ends), len(others)), dtype=bool))
     from scipy.spatial import cKDTree
@@ -59,7 +62,7 @@ def _within(ends: Array, others: Array, reach: float | None) -> Array:
 
 @dataclass(frozen=True)
 class PairContact(ContactLoad):
-    """Base of contact between bodies of a scene, of which some pairs may be left out."""
+    """Base class of contact between bodies of a scene, some pairs of which may be left out."""
 
     reach: float | None = field(default=None, kw_only=True)
 
@@ -70,15 +73,15 @@ class PairContact(ContactLoad):
 
     @final
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """Raise TypeError: the force of a pair needs its own numbers, which `force_at` takes."""
+        """Raise TypeError: contact needs the numbers of each pair, which `force_at` takes."""
         raise TypeError("force_at has the own numbers of the pair")
 
     @abc.abstractmethod
     def within(self, places: Sequence[Array], reach: float | None) -> Array:
-        """Return the pairs, (n, 2), whose gaps are `reach` at most, where nodes are at places.
+        """Return the pairs, (n, 2), whose gaps are at most `reach`, for nodes at `places`.
 
-        `places` are arrays (n_nodes, d) of the `whole_beams`, or of the `whole_bodies`. All pairs
-        without reach.
+        `places` are arrays (n_nodes, d), m, of the `whole_beams`, or of the `whole_bodies`. All
+        pairs if `reach` is None.
         """
 
     @final
@@ -110,12 +113,12 @@ class SphereContacts(PairContact):
     bodies : sequence of str
         Names of rigid bodies.
     radii : sequence of float
-        Radius of each; m.
+        Radius of the sphere of each body; m.
     stiffness, exponent, restitution, impact_speed, friction, slip_speed
         As in `Contact`.
     reach : float, optional
         Pairs whose gap in the reference configuration is larger are left out; m. A run in which
-        bodies move so far that one of them could have touched ends in words.
+        bodies of such a pair could have touched ends there with a message.
     """
 
     bodies: Sequence[str]
@@ -142,17 +145,17 @@ class SphereContacts(PairContact):
 
     @property
     def whole_bodies(self) -> tuple[str, ...]:
-        """Names of the bodies."""
+        """Names of the rigid bodies in contact."""
         return tuple(self.bodies)
 
     def within(self, places: Sequence[Array], reach: float | None) -> Array:
-        """Return the pairs of bodies, (n, 2), the first one before the second."""
+        """Return the pairs of bodies whose gap is at most `reach`, (n, 2), in ascending order."""
         balls = np.column_stack([np.concatenate(places), np.asarray(self.radii, float)])
         found = _within(balls, balls, reach)
         return found[found[:, 0] < found[:, 1]]
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return, for each pair, positions of both bodies, with their axes where friction acts."""
+        """Return, for each pair, positions of both bodies, and their axes if there is friction."""
         count = 1 if self.friction is None else elements.d + 1
         return tuple(
             FrameDirection(self.bodies[body], k)
@@ -162,33 +165,33 @@ class SphereContacts(PairContact):
         )
 
     def copies(self, elements: Elements) -> Copies:
-        """Return a copy for each pair, with its two radii."""
+        """Return one copy of the load for each pair, with the indices of its two radii."""
         pairs, (places, _) = self.pairs(elements), self.design_places
         first = places[[name for name, _ in self.design_fields].index("radii")]
         assert isinstance(first, slice)
         return Copies(np.zeros((len(pairs), 0)), parameters=first.start + pairs)
 
     def _touched(self, U: Any, signals: Any, n: int) -> tuple[Any, Any]:
-        """Return the depth, negative where a pair is apart, and the normal."""
+        """Return penetration depth of a pair, negative if apart, and normal; U of the pair."""
         radii = signals[..., -2:-1, None], signals[..., -1:, None]
         l, normal = _apart(U[..., :1, :] - U[..., n : n + 1, :], radii[0] + radii[1])
         return radii[0] + radii[1] - l, normal
 
     def depth(self, U: Array, signals: Array, p: Array, U_o: Array) -> Array:
-        """Return the depth of the spheres of a pair in each other, shape (..., 1, 1)."""
+        """Return the penetration depth of the two spheres of a pair, shape (..., 1, 1); m."""
         return np.asarray(self._touched(U, signals, len(U_o) // 2)[0])
 
     def closing(self, U: Array, M: Array, signals: Array, p: Array, U_o: Array) -> Array:
-        """Return the way of one centre relative to the other one, shape (..., 1, 1)."""
+        """Return the path of one centre relative to the other, a bound, (..., 1, 1); m."""
         n = len(U_o) // 2
         return longest(M[..., :1, :] - M[..., n : n + 1, :])
 
     def gates(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
-        """Return the depth: without one there is no force."""
+        """Return max(depth, 0), a factor with which the contact force vanishes."""
         return (positive(self._touched(U, signals, len(U_o) // 2)[0]),)
 
     def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
-        """Return N n + T at the surface of the first body, and the opposite on the second."""
+        """Return N n + T at the surface of the first body, and the opposite on the second; N."""
         n = len(U_o) // 2
         depth, normal = self._touched(U, signals, n)
         depth = positive(depth)
@@ -207,19 +210,20 @@ class SphereContacts(PairContact):
 class BeamPairContact(PairContact):
     """Contact of two beams or cables, centre lines with radii.
 
-    Gauss points along `beam` touch the closest points of the other centre line. The force per unit
-    of reference length of `beam` follows the law of `Contact`. A contact at a crossing is short:
-    there the points must lie closer than the radii. Design targets: ``stiffness``, ``radius``,
-    ``other_radius``, ``restitution``, ``impact_speed``, ``friction`` and ``slip_speed``.
+    Gauss points along `beam` are in contact with the closest points of the other centre line. The
+    force per unit of reference length of `beam` follows the law of `Contact`. Where beams cross the
+    contact is short: there the Gauss points must lie closer than the radii. Design targets:
+    ``stiffness``, ``radius``, ``other_radius``, ``restitution``, ``impact_speed``, ``friction`` and
+    ``slip_speed``.
 
     Parameters
     ----------
     beam, other_beam : str
-        Names of two beams; the second one without kinks.
+        Names of two beams; `other_beam` must have no kinks.
     stiffness : float
         k, positive; N/m^(m+1).
     radius, other_radius : float
-        From the centre lines to the surfaces; m.
+        Distances from the centre lines to the surfaces; m.
     points_per_element : int, optional
         Gauss points in each element of `beam`, 4 by default.
     exponent, restitution, impact_speed, friction, slip_speed
@@ -249,21 +253,21 @@ class BeamPairContact(PairContact):
 
     @property
     def whole_beams(self) -> tuple[str, ...]:
-        """Names of both beams."""
+        """Names of the two beams in contact."""
         return (self.beam, self.other_beam)
 
     def within(self, places: Sequence[Array], reach: float | None) -> Array:
-        """Return the pairs of elements, (n, 2), whose chords, in balls, are within reach."""
+        """Return the element pairs, (n, 2), whose bounding balls are at most `reach` apart."""
         balls = []
         for nodes, radius in zip(places, (self.radius or 0.0, self.other_radius), strict=True):
             halves = np.diff(nodes, axis=0) / 2
-            # A fifth more, for elements that are bent.
+            # Balls around chords are a fifth larger, for elements that are bent.
             sizes = 1.2 * np.linalg.norm(halves, axis=1) + radius
             balls.append(np.column_stack([nodes[:-1] + halves, sizes]))
         return _within(balls[0], balls[1], reach)
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return, for each Gauss point and element, the point, its axes and vectors of nodes."""
+        """Return, per Gauss point and element, the point, its axes, and the element's vectors."""
         both = [self.turning(MaterialPoint(x, 0.0), elements) for x in self.whole_beams]
         points = box_rule((self.points_per_element,))[0][:, 0].tolist()
         names: list[Any] = []
@@ -279,10 +283,10 @@ class BeamPairContact(PairContact):
         return tuple(names)
 
     def copies(self, elements: Elements) -> Copies:
-        """Return one copy for each Gauss point and element of the other beam.
+        """Return one copy per Gauss point of `beam` and element of the other beam.
 
-        Own numbers are the length that the point stands for, whether the element is the first or
-        the last one, and the lengths of the element and of those before and behind it.
+        Its own numbers are the length that the point represents, whether the element is the first
+        or the last one, and the lengths of the element and of its neighbours before and behind.
         """
         pairs, weights = self.pairs(elements), box_rule((self.points_per_element,))[1]
         last = elements.counts[self.other_beam] - 1
@@ -298,23 +302,23 @@ class BeamPairContact(PairContact):
         return Copies(own, lengths)
 
     def _split(self, U: Any) -> tuple[Any, Any, Any]:
-        """Return position and axes of the point, node vectors, and axes at both ends."""
+        """Return position and axes of the Gauss point, node vectors, and axes at both nodes."""
         n, d = U.shape[-2:]
-        # Each of both beams turns with d - 1 slopes, or with none.
+        # Each beam has d - 1 section slopes among the vectors, or none.
         turning = (n - 5) // (d - 1)
         own = 1 + (turning % 2) * (d - 1)
         return U[..., :own, :], U[..., own : own + 4, :], U[..., own + 4 :, :]
 
     def _near(self, U: Any, signals: Any, p: Array) -> Any:
-        """Return a number that is 0 where the point is too far from the element to touch it."""
+        """Return max(size^2 - |e|^2, 0): 0 where the point is too far from the element to touch."""
         size, e = self._ball(U, signals, p)
         return positive(size * size - dot(e, e))
 
     def _ball(self, U: Any, signals: Any, p: Array) -> tuple[Any, Any]:
-        """Return the radius of a ball that holds the element, and the place of the point in it.
+        """Return the radius of a ball around the element, and the point relative to its centre.
 
-        The ball is around the middle of the ends and holds the Bezier points of the cubic. Both
-        radii are added.
+        The centre is the middle of the nodes, and the ball contains the Bezier points of the cubic.
+        Both beam radii are added.
         """
         values, l = self.split(p), signals[..., 3:4, None]
         point, X, _ = self._split(U)
@@ -326,7 +330,7 @@ class BeamPairContact(PairContact):
         return size + values[1] + values[6], e
 
     def depth(self, U: Array, signals: Array, p: Array, U_o: Array) -> Array:
-        """Return the depth of the point in the element, or in its ball if far, (..., 1, 1)."""
+        """Return the depth of the point in the element, or in its ball if far, (..., 1, 1); m."""
         size, e = self._ball(U, signals, p)
         depth = np.asarray(size - np.sqrt(dot(e, e)))
         near = depth[..., 0, 0] > 0
@@ -335,14 +339,17 @@ class BeamPairContact(PairContact):
         return depth
 
     def closing(self, U: Array, M: Array, signals: Array, p: Array, U_o: Array) -> Array:
-        """Return the way of the point relative to both ends, and by slopes, (..., 1, 1)."""
+        """Return a bound of the path of the point relative to the element, (..., 1, 1); m."""
         point, X, _ = self._split(M)
         ways, slopes = longest(point[..., :1, :] - X[..., :2, :]), longest(X[..., 2:, :])
         beside = _SLOPES * signals[..., 3:4, None] * slopes.sum(axis=-2, keepdims=True)
         return np.asarray(ways.max(axis=-2, keepdims=True) + beside)
 
     def _touched(self, U: Any, signals: Any, p: Array) -> tuple[Any, Any, Any, Any]:
-        """Return depth, negative if apart, normal, xi of the closest point, and its share."""
+        """Return depth, negative if apart, normal, xi of the closest point, and its weight.
+
+        The weight passes smoothly from element to element: of all elements it sums to one.
+        """
         values, l = self.split(p), signals[..., 3:4, None]
         point, X, _ = self._split(U)
         c, size, chord = point[..., :1, :], values[1] + values[6], X[..., 1:2, :] - X[..., :1, :]
@@ -358,18 +365,18 @@ class BeamPairContact(PairContact):
         share = (first + (1 - first) * _passed(xi * l / before)) * (
             last + (1 - last) * _passed((1 - xi) * l / behind)
         )
-        # Beyond its ends a beam is round.
+        # Beyond its ends a beam has a hemispherical cap.
         xi = xi + first * positive(-xi) - last * positive(xi - 1)
         distance, n = _apart(c - _weighted(_hermite(xi, l)[0], X), size)
         return size - distance, n, xi, share
 
     def gates(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
-        """Return whether the point is near, and the depth: without one there is no force."""
+        """Return `_near` and max(depth, 0), two factors with which the contact force vanishes."""
         near = self._near(U, signals, p)
         return near, positive(self._touched(U, signals, p)[0])
 
     def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
-        """Return N n + T on the point and the opposite on the element, times a length."""
+        """Return N n + T on the point, and the opposite on the element, times a length; N."""
         depth, n, xi, share = self._touched(U, signals, p)
         depth = positive(depth)
         *values, _, _ = self.split(p)
@@ -391,19 +398,19 @@ class BeamPairContact(PairContact):
 
 
 def _clamped(xi: Any, beyond: float) -> Any:
-    """Return xi between -beyond and 1 + beyond."""
+    """Return xi limited to [-beyond, 1 + beyond]."""
     return positive(xi + beyond) - positive(xi - 1 - beyond) - beyond
 
 
 def _passed(x: Any) -> Any:
-    """Return a smooth step from 0 to 1 in a zone around 0, with s(x) + s(-x) = 1."""
+    """Return a smooth step s(x) from 0 to 1 over |x| < _ZONE, with s(x) + s(-x) = 1."""
     y = positive(x / (2 * _ZONE) + 0.5)
     y = y - positive(y - 1)
     return y * y * y * (10 - 15 * y + 6 * y * y)
 
 
 def _hermite(xi: Any, l: Any) -> tuple[tuple[Any, ...], ...]:
-    """Return weights of the positions and the slopes of both ends at xi, and two derivatives."""
+    """Return the Hermite weights of positions and slopes at xi, and two derivatives in xi."""
     x2 = xi * xi
     h = x2 * (3 - 2 * xi)
     h_1, h_2 = 6 * xi * (1 - xi), 6 - 12 * xi
@@ -414,11 +421,11 @@ def _hermite(xi: Any, l: Any) -> tuple[tuple[Any, ...], ...]:
 
 
 def _weighted(weights: tuple[Any, ...], X: Any) -> Any:
-    """Return the sum of vectors of X, (..., n, d), with weights, as (..., 1, d)."""
+    """Return the weighted sum of the four vectors X, (..., 4, d), shape (..., 1, d)."""
     terms = [w * X[..., k : k + 1, :] for k, w in enumerate(weights)]
     return terms[0] + terms[1] + terms[2] + terms[3]
 
 
 def _between(axes: Any, xi: Any, half: int) -> tuple[Any, ...]:
-    """Return axes at xi from the axes of both ends, which follow each other; () without axes."""
+    """Return axes at xi, interpolated between the axes of both nodes; () without axes."""
     return ((1 - xi) * axes[..., :half, :] + xi * axes[..., half:, :],) if half else ()

@@ -1,4 +1,4 @@
-"""Rope without mass over pulleys: tension by stiffness and damping, capstan friction, a winch.
+"""Massless rope over pulleys: tension by stiffness and damping, capstan friction, a winch.
 
 The rope runs from its start over pulleys to its end, along common tangents of circles and arcs on
 them. Its unstretched length follows a law of time. With friction the tensions at both sides of a
@@ -43,7 +43,7 @@ Place: TypeAlias = MaterialPoint | Sequence[float]
 
 
 def _require_place(where: str, value: object) -> None:
-    """Raise InvalidInputError unless a value is a point or a place."""
+    """Raise InvalidInputError unless a value is a material point or a position."""
     if not isinstance(value, MaterialPoint):
         require_vector(where, value, (2, 3))
 
@@ -53,25 +53,25 @@ def _require_place(where: str, value: object) -> None:
 class Pulley:
     """A pulley, sheave, drum or bollard that a `Rope` runs over.
 
-    Without friction the rope runs freely, the pulley turns or not, and `centre` belongs to what
-    carries it. With friction `centre` belongs to the body that the rope drags along: a wheel on a
-    revolute joint, whose inertia counts, or a drum that stands still.
+    Without friction the rope runs freely whether the pulley rotates or not, and `centre` is a point
+    of the body that carries the pulley. With friction `centre` is a point of the body that the rope
+    drags along: a wheel on a revolute joint, whose inertia counts, or a drum that does not rotate.
 
     Parameters
     ----------
     centre : MaterialPoint or sequence of float
-        A point of a body, or a place on the ground; m. With friction, or in space, the body is
-        rigid.
+        A point of a body, or a position on the ground; m. With friction, or in space, the body must
+        be rigid.
     radius : float
-        From the centre to the middle of the rope; zero is a ring; m.
+        Distance from the centre to the middle of the rope; zero is a ring; m.
     clockwise : bool, optional
         Whether the rope passes clockwise around the centre on its way from start to end, in space
         seen against `axis`; by default counterclockwise.
     axis : sequence of float, optional
-        In space: axis in the reference configuration, which turns with the body; its length does
-        not count (dimensionless).
+        In space: axis in the reference configuration, which rotates with the body; its length has
+        no effect (dimensionless).
     friction : float, optional
-        mu, not negative; dimensionless.
+        Coefficient of friction mu, not negative; dimensionless.
     turns : int, optional
         Whole turns around the pulley beyond the angle between the spans.
     """
@@ -95,12 +95,12 @@ class Pulley:
             require_count("Pulley, turns", self.turns, "Give the number of whole turns.")
 
     def numbers(self, k: int) -> dict[str, float]:
-        """Return the numbers that can be design targets, of pulley k."""
+        """Return the design numbers of the k-th pulley of a rope, by target name."""
         of_friction = {} if self.friction is None else {f"friction[{k}]": self.friction}
         return {f"radius[{k}]": float(self.radius), **of_friction}
 
     def with_numbers(self, values: Iterator[float]) -> Self:
-        """Return the same pulley with other `numbers`, the next ones of some values."""
+        """Return the same pulley with its `numbers` taken from the iterator `values`."""
         radius = next(values)
         return replace(
             self, radius=radius, friction=None if self.friction is None else next(values)
@@ -108,9 +108,9 @@ class Pulley:
 
 
 class _Station(NamedTuple):
-    """A place that the rope passes: centre, axes with which its body turns, and their rates.
+    """A point that the rope passes: centre, axes of its body, and their rates.
 
-    In the formulas of a rope all numbers have the shape (..., 1, 1), and vectors (..., 1, d).
+    In the formulas of a rope numbers have the shape (..., 1, 1), and vectors (..., 1, d).
     """
 
     U: Any  # (..., 1 + n_axes, d)
@@ -120,11 +120,11 @@ class _Station(NamedTuple):
     drags: bool  # whether the rope pulls at the surface and not at the centre
 
     def speed(self, arm: Any) -> Any:
-        """Return the velocity of what the rope pulls at."""
+        """Return the velocity of the point that the rope pulls at; m/s."""
         return moving_with(self.U, self.V, arm)[1] if self.drags else self.V[..., :1, :]
 
     def pulled(self, F: Any, arm: Any) -> Any:
-        """Return the forces on the vectors of a force at the end of an arm, or at the centre."""
+        """Return the forces on a station's vectors from a rope force F at an arm or the centre."""
         if self.drags:
             return on_body(F, moving_with(self.U, self.V, arm)[0])
         return concatenate([F, 0.0 * self.U[..., 1:, :]]) if self.U.shape[-2] > 1 else F
@@ -134,14 +134,14 @@ class _Span(NamedTuple):
     """The straight part of a rope between two stations."""
 
     length: Any
-    u: Any  # direction
-    tangents: tuple[Any, Any]  # in the planes of both stations
-    arms: tuple[Any, Any]  # from their centres to where the rope leaves and arrives
-    rate: Any  # of the length, with points of the bodies
+    u: Any  # unit direction from the first station to the second
+    tangents: tuple[Any, Any]  # directions of the rope in the planes of both stations
+    arms: tuple[Any, Any]  # vectors from their centres to where the rope leaves and arrives
+    rate: Any  # rate of the distance between the points of the bodies that the rope pulls at
 
 
 class _Reeving(NamedTuple):
-    """A rope: spans, wrapped angles, and the length along the whole path."""
+    """Path of a rope: its spans, wrapped angles, and total length."""
 
     spans: list[_Span]
     angles: list[Any]
@@ -149,20 +149,20 @@ class _Reeving(NamedTuple):
 
 
 def _require_pulleys(where: str, value: object) -> None:
-    """Raise InvalidInputError unless all entries of a sequence are pulleys."""
+    """Raise InvalidInputError unless all entries of a sequence are `Pulley` objects."""
     require_each(where, value, (Pulley,), "Give a Pulley.")
 
 
 @final
 @dataclass(frozen=True)
 class Rope(Load):
-    """An elastic rope without mass from a point or place over pulleys to another one.
+    """A massless elastic rope from a start point over pulleys to an end point.
 
     With the length L along tangents and arcs, the unstretched length l = length + payout(t) and
     the strain e = L/l - 1 the tension is EA e + c e', and never negative. Over pulleys with
     friction it changes by exp(mu phi tanh(w / w_0)), with the wrapped angle phi and the speed w at
-    which the rope slips forward. It never holds quite still: below w_0 a difference of tensions
-    makes the rope creep. A run in which the rope leaves a pulley ends there in words. Design
+    which the rope slips forward. There is no sticking: below w_0 a difference of tensions
+    makes the rope creep. A run in which the rope leaves a pulley ends there with a message. Design
     targets: ``stiffness``, ``damping``, ``length``, ``slip_speed``, the parameters of the law
     `payout`, ``radius[0]``, ``friction[0]`` and ``pulley_0_x`` ... of the pulleys, and ``start_x``
     ..., ``end_x`` ...
@@ -170,9 +170,9 @@ class Rope(Load):
     Parameters
     ----------
     start, end : MaterialPoint or sequence of float
-        Points of bodies, or places on the ground; m.
+        Points of bodies, or positions on the ground; m.
     pulleys : sequence of Pulley
-        In the order in which the rope passes them, none or more.
+        Pulleys in the order in which the rope passes them; may be empty.
     stiffness : float
         EA, positive; N.
     damping : float, optional
@@ -181,7 +181,7 @@ class Rope(Load):
         Unstretched length at a payout of zero, positive; m. By default the length of the path in
         the reference configuration.
     payout : Law, optional
-        What a winch at the start has paid out; m. Negative where it has hauled in.
+        Length that a winch at the start has paid out, negative if hauled in; m.
     slip_speed : float, optional
         w_0, positive; m/s. Given where a pulley has friction.
     """
@@ -231,27 +231,27 @@ class Rope(Load):
             )
             raise InvalidInputError(f"{where}, slip_speed", rule, self.slip_speed, repair)
 
-    # -- what it touches, and its numbers ------------------------------------------------------
+    # -- points and design numbers -------------------------------------------------------------
 
     @cached_property
     def _places(self) -> dict[str, Place]:
-        """The places that it passes, from start to end, by the names of their design targets."""
+        """Start, pulley centres and end of the rope, in order, by the names of their targets."""
         centres = {f"pulley_{k}": pulley.centre for k, pulley in enumerate(self.pulleys)}
         return {"start": self.start, **centres, "end": self.end}
 
     def point_fields(self) -> dict[str, MaterialPoint]:
-        """Return the points of bodies that it passes."""
+        """Return the points of bodies among start, pulley centres and end, by name."""
         return {name: x for name, x in self._places.items() if isinstance(x, MaterialPoint)}
 
     def with_points(self, points: Mapping[str, MaterialPoint]) -> Self:
-        """Return the same rope with other points of bodies."""
+        """Return the same rope with other points of bodies, given by name."""
         start, *centres, end = (points.get(name, x) for name, x in self._places.items())
         pairs = zip(self.pulleys, centres, strict=True)
         pulleys = tuple(replace(pulley, centre=centre) for pulley, centre in pairs)
         return replace(self, start=start, end=end, pulleys=pulleys)
 
     def numbers_of(self, name: str) -> dict[str, float]:
-        """Return the numbers of a design field; with the pulleys the places on the ground."""
+        """Return the numbers of a design field; `pulleys` includes positions on the ground."""
         if name != "pulleys":
             return super().numbers_of(name)
         numbers = dict[str, float]()
@@ -264,7 +264,7 @@ class Rope(Load):
         return numbers
 
     def changed_fields(self, changes: Mapping[str, float]) -> dict[str, Any]:
-        """Return the fields that change with some of the parameters."""
+        """Return the new values of the fields that the changed parameters belong to, by name."""
         new = super().changed_fields(changes)
         if "pulleys" in new:
             names = self.numbers_of("pulleys")
@@ -280,11 +280,11 @@ class Rope(Load):
         return new
 
     def uses_velocity(self, driven: Collection[str]) -> bool:
-        """Return whether it has damping or friction, or a design variable drives its damping."""
+        """Return whether the rope has damping or friction, or a variable drives its damping."""
         return self.damping != 0 or self.slip_speed is not None or "damping" in driven
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return the positions of points, with the axes of bodies that are pulled at a surface."""
+        """Return the positions of its points, with the axes of bodies pulled at a surface."""
         return tuple(
             (place, quantity)
             for place, pulley in zip(self._places.values(), self._stops, strict=True)
@@ -294,11 +294,11 @@ class Rope(Load):
 
     @property
     def _stops(self) -> tuple[Pulley | None, ...]:
-        """The pulleys, and None for both ends."""
+        """The pulleys of the rope in order, between None for its start and None for its end."""
         return (None, *self.pulleys, None)
 
     def check_space(self, elements: Elements) -> None:
-        """Refuse pulleys that do not fit the space, or that the rope does not touch at first."""
+        """Raise InvalidInputError if pulleys do not fit the space or the rope misses one."""
         where, d = f"load {self.name!r}", elements.d
         for name, place in self._places.items():
             if not isinstance(place, MaterialPoint):
@@ -321,7 +321,7 @@ class Rope(Load):
         rows = list[Array]()
         for place, pulley in zip(self._places.values(), self._stops, strict=True):
             if isinstance(place, MaterialPoint):
-                # Directions of a body are not known yet; its axis has the declared direction.
+                # Directions of the body are not known yet; unit vectors keep the declared axis.
                 count = _axis_count(pulley, elements.d)
                 rows += [elements.place_of(place), *np.eye(elements.d)[:count]]
         U = np.array(rows)
@@ -340,19 +340,19 @@ class Rope(Load):
     # -- tension and forces ------------------------------------------------------------------------
 
     def signals(self, p: Array, t: Array, order: int) -> Array | None:
-        """Return the length paid out and its rate, or their time derivatives, (k, 2)."""
+        """Return the paid-out length and its rate, or a time derivative of these, (k, 2)."""
         if self.payout is None:
             return None
         its = self.split(p)[4]
         return np.stack([self.payout.derivative(its, t, order + k) for k in (0, 1)], axis=-1)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """Return `force_at` with the payout as it is at t = 0."""
+        """Return `force_at` with the payout at its value at t = 0; N."""
         signals = self.signals(p, np.zeros(1), 0)
         return self.force_at(U, V, np.zeros((1, 0)) if signals is None else signals, p, U_o)
 
     def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
-        """Return the pull T u of both spans at every point, at the centre or the surface."""
+        """Return the pulls T u of the adjoining spans on each point, at centre or surface; N."""
         stations, reeving = self._stations(U, V, p, U_o), self._reeving(U, V, p, U_o)
         pulls = list[list[tuple[Any, Any]]]([[] for _ in stations])
         tensions = self._tensions(reeving, signals, p, U_o)
@@ -368,7 +368,7 @@ class Rope(Load):
         return concatenate(forces)
 
     def effort_count(self, p: Array) -> int:
-        """Return the number of spans."""
+        """Return the number of tensions, one per span."""
         return len(self.pulleys) + 1
 
     def efforts_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
@@ -448,7 +448,7 @@ class Rope(Load):
         return found
 
     def _reeving(self, U: Any, V: Any, p: Array, U_o: Array) -> _Reeving:
-        """Return the path of the rope, from vectors and their rates."""
+        """Return the path of the rope for the vectors U and their rates V."""
         stations = self._stations(U, V, p, U_o)
         spans = [_span(*pair) for pair in pairwise(stations)]
         angles, length = list[Any](), sum((span.length for span in spans[1:]), spans[0].length)
@@ -465,7 +465,7 @@ class Rope(Load):
         return _Reeving(spans, angles, length)
 
     def _tensions(self, reeving: _Reeving, signals: Any, p: Array, U_o: Array) -> list[Any]:
-        """Return the tension of every span."""
+        """Return the tension of every span, (..., 1, 1) each; N."""
         stiffness, damping, length, slip_speed, *_ = self.split(p)
         L, rate = reeving.length, sum(span.rate for span in reeving.spans)
         l = self._reeving(U_o, np.zeros(U_o.shape), p, U_o).length if length is None else length
@@ -480,16 +480,16 @@ class Rope(Load):
     def _shared(
         self, T: Any, reeving: _Reeving, stretch: Any, slip_speed: Any, p: Array
     ) -> list[Any]:
-        """Return the tensions whose mean along the rope is T, with friction at the pulleys.
+        """Return the tensions of the spans, with friction, whose mean along the rope is T; N.
 
-        What the rope is `stretch`ed by in a unit of time is shared out by length.
+        The rate of elongation `stretch` of the whole rope is distributed in proportion to length.
         """
         numbers = dict(zip(self.numbers_of("pulleys"), self.split(p)[5], strict=True))
         arcs = [numbers[f"radius[{k}]"] * phi / 2 for k, phi in enumerate(reeving.angles)]
         pairs = zip(reeving.spans, [0.0, *arcs], [*arcs, 0.0], strict=True)
         shares = [(span.length + a + b) / reeving.length for span, a, b in pairs]
         slip, ratios = 0.0, [1.0]
-        # From the end, where nothing slips, backward.
+        # Backward from the end, where the rope does not slip.
         for k in range(len(self.pulleys) - 1, -1, -1):
             slip = slip + reeving.spans[k + 1].rate - shares[k + 1] * stretch
             mu = numbers.get(f"friction[{k}]", 0.0)
@@ -500,19 +500,19 @@ class Rope(Load):
 
 
 def _axis_count(pulley: Pulley | None, d: int) -> int:
-    """Return how many directions of the body of a station take part."""
+    """Return the number of body directions (d or 0) that the forces at a station depend on."""
     turns = pulley is not None and (d == 3 or pulley.friction is not None)
     return d if turns else 0
 
 
 def _unit(axis: Sequence[float] | None) -> Array:
-    """Return a direction with unit length, (1, 3)."""
+    """Return a direction with unit length, (1, 3); `axis` may have any length."""
     a = np.array([axis], dtype=float)
     return a / np.sqrt(dot(a, a))
 
 
 def _turned(u: Any, axis: Any) -> Any:
-    """Return a vector turned by a right angle, about an axis in space."""
+    """Return a vector rotated by a right angle, in space about an axis."""
     return u @ QUARTER_TURN if axis is None else cross(axis + 0.0 * u, u)
 
 
@@ -543,7 +543,7 @@ def _apart(a: _Station, b: _Station) -> tuple[Any, tuple[Any, Any]]:
 
 
 def _span(a: _Station, b: _Station) -> _Span:
-    """Return the straight part between two stations."""
+    """Return the straight part of a rope between the stations a and b."""
     D, rises = _apart(a, b)
     tangents, arms = list[Any](), list[Any]()
     for station, rise in zip((a, b), rises, strict=True):

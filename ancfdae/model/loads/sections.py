@@ -1,17 +1,18 @@
-"""How a section turns and carries directions, with the gradients that turn a torque into forces.
+"""Rotation of a section, directions carried by it, and the gradients of both in its slopes.
 
-Arrays have axes (..., n_vectors, d). A section is known by its slopes r_y, r_z (r_y in the
-plane). What it carries is combined of n, r_y and r_z, n its unit normal (in the plane of r_y and
-r_y turned by a right angle), so that directions of the reference turn with the section.
+Arrays have axes (..., n_vectors, d). A section is given by its slopes r_y, r_z (r_y in the plane).
+A direction carried by a section is a fixed combination of n, r_y and r_z, with n its unit normal
+(in the plane of r_y and r_y rotated by a right angle), so that directions of the reference rotate
+with the section.
 
-The angle theta of a section about an axis a is that of the best turn about it: with r_k = n, r_y,
-r_z and d_k what they are in the reference, carried by the other section or standing still,
+The angle theta of a section about an axis a is that of the best rotation about it: with r_k = n,
+r_y, r_z and d_k their reference values, carried by the other section or fixed in space,
 
     theta = atan2(S, C),  S = a . sum d_k x r_k,  C = sum d_k . r_k - (a . d_k) (a . r_k).
 
-A rigid turn about a by any angle from -pi to pi is found exactly, and there dtheta = a . dphi of
-every further turn dphi, because the three directions favour none. The gradients are those of this
-function: a torque T does the work T dtheta, its forces are T theta_U.
+A rigid rotation about a by any angle from -pi to pi is found exactly, and there dtheta = a . dphi
+for every further rotation dphi, because the three directions have equal weight. The gradients are
+those of this function: a torque T does the work T dtheta, its forces are T theta_U.
 """
 
 from dataclasses import dataclass
@@ -29,21 +30,21 @@ QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 
 def section_of(points: tuple[MaterialPoint, ...], elements: Elements) -> Vectors:
-    """Return the slopes that span sections; of planar elements without any the tangents."""
+    """Return the slopes that span the sections of points; tangents for planar cables."""
     return tuple((point, slope) for point in points for slope in elements.at(point).spanning)
 
 
 @final
 @dataclass(frozen=True)
 class CarriedAxes:
-    """A section with slopes U, U_o in the reference, that carries directions; none: the ground."""
+    """A section that carries directions along, slopes U, in the reference U_o; or the ground."""
 
     U: Any
     U_o: Array
 
     @property
     def ground(self) -> bool:
-        """Whether the directions belong to the ground and are fixed in space."""
+        """Whether the directions are fixed in space, carried by no section."""
         return len(self.U_o) == 0
 
     def of(self, rows: Array) -> Any:
@@ -51,7 +52,7 @@ class CarriedAxes:
         return rows if self.ground else self._weights(rows) @ _basis(self.U)
 
     def pull_back(self, rows: Array, G: Any) -> Any:
-        """Return the gradient in U of a function whose gradient in the directions `rows` is G."""
+        """Return a function's gradient in U from G, its gradient in the carried axes `rows`."""
         return _on_slopes(self.U, np.swapaxes(self._weights(rows), -1, -2) @ G)
 
     def _weights(self, rows: Array) -> Array:
@@ -59,14 +60,14 @@ class CarriedAxes:
 
 
 def _basis(U: Any) -> Any:
-    """Return the vectors that directions are combined of."""
+    """Return normal and slopes of a section, a basis for directions that it carries along."""
     if U.shape[-1] == 2:
         return concatenate([U @ QUARTER_TURN, U])
     return concatenate([direction(cross(U[..., :1, :], U[..., 1:, :]))[1], U])
 
 
 def _on_slopes(U: Any, G: Any) -> Any:
-    """Return the gradient in the slopes U of a function whose gradient in their basis is G."""
+    """Return a function's gradient in section slopes U from G, its gradient in `_basis(U)`."""
     if U.shape[-1] == 2:
         return G[..., 1:, :] - G[..., :1, :] @ QUARTER_TURN
     r_y, r_z = U[..., :1, :], U[..., 1:, :]
@@ -76,11 +77,11 @@ def _on_slopes(U: Any, G: Any) -> Any:
 
 
 def turn(U: Any, U_o: Array, axes: Array) -> tuple[Any, Any]:
-    """Return angles about axes, (..., m, 1, 1), and gradients, (..., m, n_vectors, d).
+    """Return angles about axes, (..., m, 1, 1), rad, and gradients, (..., m, n_vectors, d).
 
-    U has the slopes of one section, or of two, the second of which carries the axes, and U_o those
-    of the reference. The axes, (m, 3), are unit vectors of the reference; in the plane, where there
-    is one, they are not read.
+    U holds the slopes of one section, or of two, the second of which carries the axes, and U_o the
+    slopes in the reference. The axes, (m, 3), are unit vectors in the reference; in the plane they
+    are not used.
     """
     d = U_o.shape[1]
     U = U[..., None, :, :]
@@ -105,7 +106,7 @@ def turn(U: Any, U_o: Array, axes: Array) -> tuple[Any, Any]:
 
 
 def _planar_turn(U: Any, U_o: Array) -> tuple[Any, Any]:
-    """Return the rotation since the reference of a slope, against another one or ground; rad."""
+    """Return the rotation of a planar section relative to another or ground, and its gradient."""
     r, carrier = U[..., :1, :], CarriedAxes(U[..., 1:, :], U_o[1:])
     start = carrier.of(U_o[:1])
     theta = angle(dot(start @ QUARTER_TURN, r), dot(start, r))
@@ -117,15 +118,15 @@ def _planar_turn(U: Any, U_o: Array) -> tuple[Any, Any]:
 
 
 def rate_of(x_U: Any, V: Any) -> Any:
-    """Return x' = x_U . V, the rate of coordinates of which gradients are given, (..., 1, 1)."""
+    """Return x' = x_U . V, (..., 1, 1), the rate of coordinates with the gradients x_U."""
     return dot(x_U, V).sum(axis=-2, keepdims=True)
 
 
 def travel(U: Any, U_o: Array, along: Array, other: bool) -> tuple[Any, Any]:
-    """Return the displacement of a point along a line since the reference, and its gradient in U.
+    """Return the displacement of a point along a line since the reference, m, and its gradient.
 
-    Shapes (..., 1, 1) and (..., n_vectors, d). U has the position of the point and, where the line
-    goes through another point, the position and section of that, which carries the line.
+    Shapes (..., 1, 1) and (..., n_vectors, d). U holds the position of the point and, if `other`,
+    position and section slopes of the point that carries the line.
     """
     rows, carrier = along[None], CarriedAxes(U[..., 2:, :], U_o[2:])
     size, a = direction(carrier.of(rows))
@@ -139,7 +140,7 @@ def travel(U: Any, U_o: Array, along: Array, other: bool) -> tuple[Any, Any]:
 
 
 def unit_axes(axis: Array | None) -> Array:
-    """Return the one axis of a joint as a unit vector, (1, 3); z where it is not given."""
+    """Return the axis of a joint as a unit vector, (1, 3); the z axis if it is None."""
     if axis is None:
         return np.array([[0.0, 0.0, 1.0]])
     return direction(axis[None])[1]

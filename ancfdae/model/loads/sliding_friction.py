@@ -1,4 +1,4 @@
-"""Friction of a guide that slides along a beam or cable."""
+"""Friction of a guide along the beam or cable of a sliding joint."""
 
 from dataclasses import dataclass
 from typing import Any, final
@@ -17,9 +17,9 @@ from ancfdae.numerics.arrays import Array
 class SlidingFriction(Load):
     """Dry and viscous friction of the guide of a `SlidingJoint` along the beam.
 
-    With w = s' the rate of the arc length the force along the beam is the curve of
-    `RotationalFriction`, in newton. It acts on the guide and the opposite on the beam. The level is
-    constant: it does not follow the force across the beam. Design targets: ``coulomb``,
+    With w = s' the rate of the arc length, the force along the beam in N follows the curve of
+    `RotationalFriction`. It acts on the guide and the opposite on the beam. The levels are
+    constant: they do not depend on the force across the beam. Design targets: ``coulomb``,
     ``smooth_speed``, ``viscous``, ``breakaway`` and ``stribeck_speed``.
 
     Parameters
@@ -51,11 +51,11 @@ class SlidingFriction(Load):
         require_together(where, given)
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return the vector of the arc length."""
+        """Return the vector that the force acts on: the arc length of the sliding joint."""
         return (StateVector(self.joint, 0),)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """Return -R(s') on the arc length."""
+        """Return the friction force -R(s') on the arc length; N."""
         *levels, _ = self.split(p)
         along = np.eye(U_o.shape[1])[:1]
         return -friction(V[..., :1, :1], tuple(levels)) * along

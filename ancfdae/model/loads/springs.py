@@ -1,4 +1,4 @@
-"""Springs with dampers: between points, and elastic bearings."""
+"""Springs with dampers: between two points, and elastic bearings (bushings)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -33,14 +33,14 @@ class SpringDamper(Load):
     ----------
     point : MaterialPoint
     stiffness : float
-        k; N/m. It may be negative, as of a part that pushes away from its middle position.
+        k; N/m. May be negative, for example for a spring that pushes away from its centre position.
     damping : float
         c, not negative; N s/m.
     free_length : float
         l_0, not negative; m.
     other : MaterialPoint, optional
     ground : sequence of float, optional
-        Place on the ground; m. Give either `other` or `ground`.
+        Position on the ground; m. Give either `other` or `ground`.
     """
 
     point: MaterialPoint
@@ -70,7 +70,7 @@ class SpringDamper(Load):
         return tuple((point, Quantity.POSITION) for point in self.points)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """-(k (l - l_0) + c l') n on the first point, the opposite on the second."""
+        """Return -(k (l - l_0) + c l') n on the first point, and the opposite on the second; N."""
         k, damping, free_length, ground, _ = self.split(p)
         e, w = U[..., :1, :], V[..., :1, :]
         e, w = (e - ground, w) if self.other is None else (e - U[..., 1:, :], w - V[..., 1:, :])
@@ -79,7 +79,7 @@ class SpringDamper(Load):
         return F if self.other is None else concatenate([F, -F])
 
     def energy(self, U: Any, p: Array, U_o: Array) -> Any:
-        """Return k (l - l_0)^2/2, shape (k,); J."""
+        """Return the elastic energy k (l - l_0)^2/2, shape (k,); J."""
         k, _, free_length, ground, _ = self.split(p)
         e = U[..., :1, :] - (ground if self.other is None else U[..., 1:, :])
         return (k * (direction(e)[0] - free_length) ** 2 / 2)[..., 0, 0]
@@ -92,8 +92,8 @@ class Bushing(Load):
 
     With x_m the component of r(point) - r(other) along axis m, beyond its reference value, and
     theta_m the angle about it (docs/theory/03-joints-and-loads.md): forces -(k_m x_m + c_m x_m')
-    and torques -(k_m theta_m + c_m theta_m'). The axes are x, y and z of the reference; they turn
-    with the other section. Angles stay well below pi. Design targets: ``stiffness_x`` ...,
+    and torques -(k_m theta_m + c_m theta_m'). The axes are x, y and z of the reference; they rotate
+    with the section of `other`. Angles stay well below pi. Design targets: ``stiffness_x`` ...,
     ``damping_x`` ..., and in space ``turn_stiffness_x`` ..., ``turn_damping_x`` ..., in the plane
     ``turn_stiffness`` and ``turn_damping``.
 
@@ -101,9 +101,9 @@ class Bushing(Load):
     ----------
     point : MaterialPoint
     stiffness : sequence of float
-        N/m. They may be negative.
+        Stiffness k_m along each axis, may be negative; N/m.
     damping : sequence of float, optional
-        Not negative; N s/m.
+        Damping c_m along each axis, not negative; N s/m.
     turn_stiffness, turn_damping : float or sequence of float, optional
         One number in the plane, a sequence of three in space, about x, y and z; N m/rad and
         N m s/rad. Damping is not negative.
@@ -143,15 +143,15 @@ class Bushing(Load):
                 require_damping(f"load {self.name!r}, {name}", value)
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Positions of the points and slopes of their sections."""
+        """Return the positions of the points and the slopes of their sections."""
         places = tuple((point, Quantity.POSITION) for point in self.points)
         return (*places, *section_of(self.points, elements))
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """Return the forces of springs and dampers on the vectors.
 
-        -(k x + c x') x_U - (k theta + c theta') theta_U with the displacement x and the angle
-        theta of the section at `point` against the other one.
+        They are -(k x + c x') x_U - (k theta + c theta') theta_U with the displacement x and the
+        angle theta of the section at `point` relative to the section of `other`.
         """
         k, c, k_turn, c_turn, _ = self.split(p)
         n = len(self.points)
@@ -161,7 +161,7 @@ class Bushing(Load):
         return concatenate([F[..., :n, :], F[..., n:, :] + M])
 
     def energy(self, U: Any, p: Array, U_o: Array) -> Any:
-        """Return half of k x^2 and of k theta^2, summed over the axes, shape (k,); J."""
+        """Return the sum of k x^2/2 and k theta^2/2 over the axes, shape (k,); J."""
         k, _, k_turn, _, _ = self.split(p)
         n = len(self.points)
         travels = self._travel(U[..., None, :, :], U_o)[0][..., 0, 0]
@@ -170,7 +170,7 @@ class Bushing(Load):
         return total if k_turn is None else total + np.sum(k_turn * angles**2, axis=-1) / 2
 
     def _travel(self, U: Any, U_o: Array) -> tuple[Any, Any]:
-        """Return components of r - r_other beyond the reference, (..., d, 1, 1), and gradients."""
+        """Return components of r - r_other minus the reference, (..., d, 1, 1), and gradients."""
         d, n = U_o.shape[1], len(self.points)
         rows, carrier = np.eye(d)[:, None, :], CarriedAxes(U[..., n + d - 1 :, :], U_o[n + d - 1 :])
         axes = carrier.of(rows) + 0.0 * U[..., :1, :]
@@ -184,7 +184,7 @@ class Bushing(Load):
 
 
 def _resistance(x: Any, x_U: Any, V: Any, k: Any, c: Any) -> Any:
-    """Return (k x + c x') x_U, summed over the axes."""
+    """Return the sum over the axes of a bushing of (k x + c x') x_U: minus its force."""
     total = 0.0 * x
     if k is not None:
         total = total + np.reshape(k, (-1, 1, 1)) * x

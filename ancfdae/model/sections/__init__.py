@@ -1,1 +1,1 @@
-"""Cross-sections, one family a file."""
+"""Cross-sections of beams; one family a file."""

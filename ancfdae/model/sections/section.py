@@ -1,4 +1,4 @@
-"""Base class of cross-sections: area, shear factors, torsion, and how stress spreads over them."""
+"""Base class of cross-sections: area, shear factors, torsion, stress distribution."""
 
 import abc
 from collections.abc import Mapping, Sequence
@@ -13,10 +13,10 @@ from ancfdae.errors.checks import require_positive, require_vector
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import Array
 
-#: Widens a section by round-off, so that its surface belongs to it.
+#: Factor that widens a section by round-off, so that its surface belongs to it.
 ROUND_UP = 1 + 1e-12
 
-#: Points of a section: y, z and the area that each stands for, shape (n, n_p) each.
+#: Points of n sections: y, z, m, and the area that each point represents, m^2, (n, n_p) each.
 SectionPoints = tuple[Array, Array, Array]
 
 
@@ -32,7 +32,7 @@ class Section(abc.ABC):
     ----------
     shear_factors : (float, float), optional
         Ratio of the area that carries shear along y and along z; by default a formula of the
-        section. Read by `EnhancedContinuum` only, as is the next.
+        section. Like `torsion_constant` used by `EnhancedContinuum` only.
     torsion_constant : float, optional
         J in the torque G J kappa; m^4. By default a formula of the section.
 
@@ -42,7 +42,7 @@ class Section(abc.ABC):
         If a size or a property is not finite and positive.
     """
 
-    #: Whether `torsional_shear` is known.
+    #: Whether the section has `torsional_shear`.
     shaped: ClassVar[bool] = False
 
     shear_factors: Sequence[float] | None = field(default=None, kw_only=True)
@@ -63,19 +63,19 @@ class Section(abc.ABC):
     @classmethod
     @cache
     def size_names(cls) -> tuple[str, ...]:
-        """Return the names of the sizes."""
+        """Return the names of the sizes of the section, its positional fields."""
         return tuple(each.name for each in fields(cls) if not each.kw_only)
 
     def sizes(self) -> tuple[float, ...]:
-        """Return the sizes; m, unless the section says otherwise."""
+        """Return the sizes of the section; m, unless the class says otherwise."""
         return tuple(getattr(self, name) for name in self.size_names())
 
     def with_sizes(self, sizes: Mapping[str, float]) -> Self:
-        """Return the same section with some sizes changed, which need to fit together only."""
+        """Return the same section with some sizes changed, all checked together."""
         return replace(self, **sizes)  # type: ignore[arg-type]  # sizes are numbers
 
     def form(self) -> tuple[object, ...]:
-        """Return class and options: sections with equal ones differ in their sizes only."""
+        """Return class and options: sections with equal forms differ in their sizes only."""
         options = (getattr(self, each.name) for each in fields(self) if each.kw_only)
         return (type(self), *options)
 
@@ -85,7 +85,7 @@ class Section(abc.ABC):
         """Half of the height and half of the width that enclose the section; m."""
 
     def second_moments(self) -> Array:
-        """Return the integrals of y y, y z and z z about the centroid, shape (2, 2)."""
+        """Return the integrals of y y, y z and z z about the centroid, shape (2, 2); m^4."""
         y, z, dA = (x[0] for x in self.points(np.array([self.sizes()]), False))
         places = np.stack([y, z])
         centred = places - (places @ dA / np.sum(dA))[:, None]
@@ -93,7 +93,7 @@ class Section(abc.ABC):
 
     @abc.abstractmethod
     def points(self, sizes: Array, fine: bool) -> SectionPoints:
-        """Quadrature points of sections, exact for polynomials of degree 5.
+        """Return quadrature points of n sections, exact for polynomials of degree 5.
 
         Parameters
         ----------
@@ -105,20 +105,20 @@ class Section(abc.ABC):
 
     @abc.abstractmethod
     def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """Return y and z of the points of the contour where stresses are largest, (n, n_o) each.
+        """Return y and z of the contour points with the largest stresses, (n, n_o) each; m.
 
-        Of bending about both axes and of torsion, alone and together.
+        Stresses of bending about both axes and of torsion, alone and together.
         """
 
     def contour(self, sizes: Array) -> tuple[Array, Array]:
         """Return y and z of the outer contour, for pictures, shape (n, n_c) each.
 
-        Points run up in y on one side and down on the other, where the i-th from the end is level
-        with the i-th: strips between the two fill the section.
+        Points run up in y on one side and down on the other; the i-th point and the i-th from the
+        end have the same y, so that strips between them fill the section.
         """
         y, z = self.outline(sizes)
         bottom, top, left, right = y.min(axis=1), y.max(axis=1), z.min(axis=1), z.max(axis=1)
-        # Places on the sides too: torsion has its largest stress there and none at corners.
+        # Points on the sides too: torsion has its largest stress there and none at corners.
         middle, quarter = (bottom + top) / 2, (right - left) / 4
         up = np.stack([bottom, bottom, middle, top, top], axis=1)
         across = np.stack([left + quarter, left, left, left, left + quarter], axis=1)
@@ -126,21 +126,21 @@ class Section(abc.ABC):
         return np.concatenate([up, up[:, ::-1]], axis=1), np.concatenate([across, back], axis=1)
 
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
-        """Shear factors along y and z for Poisson's ratio nu, (n,) each; 1 where none is known."""
+        """Return shear factors along y and z for Poisson's ratio nu, (n,) each; 1 by default."""
         return np.ones_like(nu), np.ones_like(nu)
 
     @abc.abstractmethod
     def torsion(self, sizes: Array) -> Array:
-        """Torsion constants J of n sections, shape (n,); m^4."""
+        """Return the torsion constants J of n sections, shape (n,); m^4."""
 
     def twist_centre(self, sizes: Array, centroid: Array) -> Array:
-        """Return y and z of the shear centre, shape (n, 1, 2): the centroid, (n, 1, 2), here."""
+        """Return y and z of the shear centre, shape (n, 1, 2), m; the centroid by default."""
         return centroid
 
     def torsional_shear(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
         """Return shear stresses along y and z in torsion, over G and the rate of twist; m.
 
-        Those of free warping, in balance with the torque G J of `torsion`.
+        Warping is free, and the stresses are in equilibrium with the torque G J of `torsion`.
 
         Parameters
         ----------
@@ -152,7 +152,7 @@ class Section(abc.ABC):
         Raises
         ------
         InvalidInputError
-            If the section does not know them.
+            If the section has no `torsional_shear`.
         """
         raise InvalidInputError(
             f"stress in a {type(self).__name__}",
@@ -163,21 +163,21 @@ class Section(abc.ABC):
         )
 
     def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Return local over mean shear stress along y and along z, (n, n_f) each; 1 by default.
+        """Return the local over the mean shear stress along y and z, (n, n_f) each; 1 by default.
 
-        The mean of a share over the section is 1, which is all that a section knows by default.
-        Radial stress in curved beams spreads alike.
+        The mean over the section is 1. Radial stress in curved beams is distributed in the same
+        way.
         """
         one = np.ones_like(y * sizes[:, :1])
         return one, one
 
     def holds(self, y: float, z: float) -> bool:
-        """Whether there is material at a place; up to the half extents unless it says otherwise."""
+        """Whether there is material at (y, z); by default within the half extents; m."""
         extents = self.half_extents
         return all(abs(x) <= half * ROUND_UP for x, half in zip((y, z), extents, strict=True))
 
     def properties(self, sizes: Array, nu: Array) -> tuple[Array, Array, Array]:
-        """Shear factors along y and z and the torsion constant: as declared, or by formula."""
+        """Return shear factors along y and z, and J, (n,) each: as declared, or by formula."""
         k_y, k_z = self.shear(sizes, nu)
         J = self.torsion(sizes)
         if self.shear_factors is not None:
@@ -188,7 +188,7 @@ class Section(abc.ABC):
 
 
 def columns(sizes: Array) -> tuple[Array, ...]:
-    """Return each of the sizes as a column, to go with places of shape (n, n_f)."""
+    """Return each size as a column, shape (n, 1), to combine with points of shape (n, n_f)."""
     return tuple(sizes.T[..., None])
 
 
@@ -200,7 +200,7 @@ def central_moments(y: Array, z: Array, dA: Array) -> tuple[Array, Array]:
 
 
 def require_smaller(where: str, wall: float, outer: float, rule: str) -> None:
-    """Refuse walls that leave no hole."""
+    """Raise InvalidInputError if a wall leaves no hole."""
     if not wall < outer:
         raise InvalidInputError(where, rule, f"{wall} against {outer}", "Use a thinner wall.")
 
@@ -208,15 +208,16 @@ def require_smaller(where: str, wall: float, outer: float, rule: str) -> None:
 # -- spread of stress --------------------------------------------------------------------------
 
 
-# exp(-23 pi/2) is round-off.
+# Odd n of the series of `rectangle_torsional_shear` and signs s_n; exp(-23 pi/2) is round-off.
 _ODD = np.arange(1, 24, 2)
 _SIGN = np.array([1.0, -1.0] * 6)
-# Just inside the unit circle: the slope of the series is logarithmic at corners.
+# Factor that keeps arguments inside the unit circle: the slope of the series is logarithmic at
+# corners.
 _INSIDE = 1 - 1e-15
 
 
 def rectangle_torsional_shear(h: Array, w: Array, y: Array, z: Array) -> tuple[Array, Array]:
-    """Shear stresses along y and z at places in rectangles, over G and the rate of twist.
+    """Return shear stresses along y and z in rectangles, over G and the rate of twist; m.
 
     With half sides a <= b along u and v, p = pi/2a and s_n = (-1)^((n-1)/2) (Timoshenko & Goodier,
     Theory of Elasticity, sec. 109)
@@ -224,15 +225,15 @@ def rectangle_torsional_shear(h: Array, w: Array, y: Array, z: Array) -> tuple[A
         t_v = 2u - (16a/pi^2) sum_{n odd} s_n/n^2 sin(npu) cosh(npv)/cosh(npb),
         t_u =    - (16a/pi^2) sum_{n odd} s_n/n^2 cos(npu) sinh(npv)/cosh(npb).
 
-    cosh(npv)/cosh(npb) = e^{-np(b-v)} + rest for v >= 0. The rest falls like e^{-npb}; the first
-    part falls slowly near the short sides, where its sum is an inverse tangent integral.
+    cosh(npv)/cosh(npb) = e^{-np(b-v)} + remainder for v >= 0. The remainder falls like e^{-npb};
+    the first part falls slowly near the short sides, where its sum is an inverse tangent integral.
     """
     upright = h.real >= w.real
     a, b = np.where(upright, (w, h), (h, w)) / 2
     u, v = np.where(upright, (z, y), (y, z))
     side = np.where(v.real < 0, -1.0, 1.0)
     v, p = v * side, np.pi / (2 * a)
-    # Of no meaning beyond the rectangle, where it must not overflow.
+    # Points beyond the rectangle have no meaning; v is limited so that nothing overflows there.
     v = np.where(v.real < b.real, v, b)
     sine, cosine = _tangent_integral(-p * (b - v), p * u)
     for n, sign in zip(_ODD, _SIGN, strict=True):
@@ -250,7 +251,7 @@ def _tangent_integral(rho: Array, phi: Array) -> tuple[Array, Array]:
     """Return sums over odd n of s_n e^(n rho)/n^2 times sin(n phi), and times cos(n phi).
 
     With z = e^(rho + i phi) they are the parts of Ti_2(z) = (Li_2(iz) - Li_2(-iz))/2i, whose
-    differential is arctan(z) d(rho + i phi): so go imaginary steps of rho and phi.
+    differential is arctan(z) d(rho + i phi); imaginary parts of rho and phi (complex steps) use it.
     """
     z = np.exp(rho.real + 1j * phi.real)
     total = (scipy.special.spence(1 - 1j * z) - scipy.special.spence(1 + 1j * z)) / 2j
@@ -262,11 +263,11 @@ def _tangent_integral(rho: Array, phi: Array) -> tuple[Array, Array]:
 
 
 def stepped_share(extent: Array, inner: Array, outer_b: Array, inner_b: Array, y: Array) -> Array:
-    """Shear stress by Jourawski's formula over its mean, A Q/(I b), at a depth y of sections.
+    """Return Jourawski's shear stress over its mean, A Q/(I b), at the coordinate y.
 
-    Their width is b = inner_b for abs(y) <= inner, outer_b up to half the extent; Q is the first
-    moment of what lies beyond y. Its mean over the section is 1. Radial stress in a curved beam
-    spreads alike: what holds sigma = M y/I in balance is M Q/(I b R).
+    The width is b = inner_b for abs(y) <= inner, outer_b up to half the extent; Q is the first
+    moment of the area beyond y. The mean over the section is 1. Radial stress in a curved beam is
+    distributed in the same way: M Q/(I b R) is in equilibrium with sigma = M y/I.
     """
     top = extent / 2
     A = 2 * (outer_b * (top - inner) + inner_b * inner)
@@ -277,5 +278,5 @@ def stepped_share(extent: Array, inner: Array, outer_b: Array, inner_b: Array, y
 
 
 def in_web(y: Array, inner: Array) -> Array:
-    """Whether abs(y) <= inner, by real parts."""
+    """Return whether abs(y) <= inner, comparing real parts."""
     return np.abs(y.real) <= inner.real

@@ -22,13 +22,13 @@ from ancfdae.model.sections.section import (
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import box_rule
 
-# Points of a circumference: the cosine of half the angle between them is 0.981.
+# Number of points on a circle; the cosine of half the angle between them is 0.981.
 _AROUND = 16
 
 
 @dataclass(frozen=True)
 class _Round(Section):
-    """A section between two circles, of which the inner one may be a point."""
+    """A section between two concentric circles; the inner one may have radius zero."""
 
     shaped = True
 
@@ -36,7 +36,7 @@ class _Round(Section):
 
     @abc.abstractmethod
     def inner(self, sizes: Array) -> Array:
-        """Return the radius of the hole, shape (n,)."""
+        """Return the radius of the hole, shape (n,); m."""
 
     @property
     def half_extents(self) -> tuple[float, float]:
@@ -44,17 +44,20 @@ class _Round(Section):
         return self.radius, self.radius
 
     def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """Points at equal angles: of stresses linear in y and z none misses the largest by 2 %."""
+        """Return y and z of points at equal angles, (n, 16) each; m.
+
+        Stresses linear in y and z exceed the largest at these points by less than 2 %.
+        """
         radius, angle = sizes[:, :1], 2 * np.pi * np.arange(_AROUND) / _AROUND
         return radius * np.cos(angle), radius * np.sin(angle)
 
     def contour(self, sizes: Array) -> tuple[Array, Array]:
-        """Points at equal angles from the bottom on, none of them at the bottom itself."""
+        """Return y and z of points at equal angles, half a step beside the bottom, (n, 16); m."""
         radius, angle = sizes[:, :1], 2 * np.pi * (np.arange(_AROUND) + 0.5) / _AROUND
         return -radius * np.cos(angle), -radius * np.sin(angle)
 
     def points(self, sizes: Array, fine: bool) -> SectionPoints:
-        """Gauss points in the squared radius, equal angles; exact to degree 5 (fine: 11)."""
+        """Return Gauss points in squared radius and angle; exact to degree 5 (fine: 11)."""
         radial, angular = (6, 12) if fine else (3, 6)
         corner, rule = box_rule((radial,))
         share, n = corner[:, 0], len(sizes)
@@ -66,14 +69,14 @@ class _Round(Section):
         return y.reshape(n, -1), z.reshape(n, -1), dA
 
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
-        """Cowper (1966); m is the ratio of inner to outer radius."""
+        """Return Cowper's (1966) shear factors; m is the ratio of inner to outer radius."""
         m = self.inner(sizes) / sizes[:, 0]
         round_trip = (1 + m**2) ** 2
         factor = 6 * (1 + nu) * round_trip / ((7 + 6 * nu) * round_trip + (20 + 12 * nu) * m**2)
         return factor, factor
 
     def torsion(self, sizes: Array) -> Array:
-        """Polar moment of area: circles do not warp."""
+        """Return the polar moments of area, (n,), m^4: circular sections do not warp."""
         return np.pi / 2 * (sizes[:, 0] ** 4 - self.inner(sizes) ** 4)
 
     def torsional_shear(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
@@ -81,7 +84,10 @@ class _Round(Section):
         return -z, y
 
     def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Jourawski's of circles, 4/3 in the middle, and of thin tubes, 2, and between them."""
+        """Return Jourawski's local over mean shear stress, (n, n_f): 4/3 at the centre of a disc.
+
+        At the centre line of a thin tube it is 2.
+        """
         whole, hole = sizes[:, :1] ** 2, self.inner(sizes)[:, None] ** 2
         height = 4 / (3 * whole - hole)
         return height * (whole - y**2), height * (whole - z**2)
@@ -101,11 +107,11 @@ class Circle(_Round):
     Parameters
     ----------
     radius : float
-        m.
+        Radius; m.
     """
 
     def inner(self, sizes: Array) -> Array:
-        """Return the radius of the hole: none, zero; m."""
+        """Return the radius of the hole, zero for a solid circle, shape (n,); m."""
         return 0.0 * sizes[:, 0]
 
 
@@ -119,7 +125,7 @@ class Tube(_Round):
     radius : float
         Outer radius; m.
     thickness : float
-        Of the wall; m.
+        Thickness of the wall; m.
 
     Raises
     ------
@@ -142,15 +148,15 @@ class Tube(_Round):
 # -- rectangles --------------------------------------------------------------------------------
 
 
-# Points a side: 3 integrate the degree 5 of straight beams. Curved ones have a rational integrand;
-# with a radius of curvature R the error of A falls like (height / 4R)^(2 n): measured with 6
-# points, 1e-15 at height = R / 10, 6e-14 at R / 5, 4e-9 at R / 2.
+# Gauss points per side: 3 integrate the degree 5 of straight beams. Curved beams have a rational
+# integrand; with a radius of curvature R the error of A falls like (height / 4R)^(2 n): measured
+# with 6 points, 1e-15 at height = R / 10, 6e-14 at R / 5, 4e-9 at R / 2.
 _COARSE, _FINE = 3, 6
 
 
 @dataclass(frozen=True)
 class Rectangular(Section):
-    """A section with a rectangle around it: height along y and width along z."""
+    """Base class of sections with outer dimensions: height along y and width along z."""
 
     shaped = True
 
@@ -182,36 +188,37 @@ class Rectangle(Rectangular):
         return rectangles_points([(h, w, 0.0 * h, 0.0 * h)], fine)
 
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
-        """Shear correction factors by Cowper (1966), dimensionless."""
+        """Return Cowper's (1966) shear factors along y and z, (n,) each; dimensionless."""
         factor = 10 * (1 + nu) / (12 + 11 * nu)
         return factor, factor
 
     def torsion(self, sizes: Array) -> Array:
-        """Torsion constants J, shape (n,), by Saint-Venant's series; m^4."""
+        """Return the torsion constants J by Saint-Venant's series, shape (n,); m^4."""
         return rectangle_torsion(*sizes.T)
 
     def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """Corners, middles of the sides, and near corners on the sides; see `around`."""
+        """Return y and z of the points of `around`: corners, middles of sides, and near corners."""
         return around(*sizes.T)
 
     def torsional_shear(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Shear stresses of unit twist rate over G by Saint-Venant's series; m."""
+        """Return the shear stresses over G and rate of twist by Saint-Venant's series; m."""
         h, w = columns(sizes)
         return rectangle_torsional_shear(h, w, y, z)
 
     def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Local over mean shear stress, (n, n_f): parabolas, 3/2 in the middle."""
+        """Return the local over mean shear stress, (n, n_f) each: parabolas, 3/2 in the middle."""
         h, w = columns(sizes)
         return stepped_share(h, h / 2, w, w, y), stepped_share(w, w / 2, h, h, z)
 
 
 def around(h: Array, w: Array) -> tuple[Array, Array]:
-    """Places on the four sides of rectangles about the axis, 16 of each.
+    """Return y and z of points on the four sides of rectangles, shape (n, 16) each; m.
 
-    Bending has its largest stress at corners and torsion in the middle of the long sides, but it
-    keeps most of it up to about the thickness from the corners: so places there come in, which the
-    number 0.4 puts best. Stresses linear along the sides, together with those of torsion, exceed
-    the largest at these places by less than 3.5 % (tests/sensitivity/test_stress.py).
+    Bending has its largest stress at corners and torsion in the middle of the long sides. But most
+    of the torsional stress persists up to about the thickness from the corners, near which points
+    are placed, best with the factor 0.4. Stresses linear along the sides, together with torsional
+    stresses, exceed the largest at these points by less than 3.5 %
+    (tests/sensitivity/test_stress.py).
     """
     zero = 0.0 * h
     y_near = h / 2 * (1 - w / (w + 0.4 * h))
@@ -223,7 +230,7 @@ def around(h: Array, w: Array) -> tuple[Array, Array]:
 
 
 def corners(h: Array, w: Array) -> tuple[Array, Array]:
-    """Corners of rectangles of these heights and widths about the axis."""
+    """Return y and z of the corners of rectangles centred at the axis, shape (n, 4) each; m."""
     y, z = np.array([-0.5, -0.5, 0.5, 0.5]), np.array([-0.5, 0.5, 0.5, -0.5])
     return h[:, None] * y, w[:, None] * z
 
@@ -231,7 +238,10 @@ def corners(h: Array, w: Array) -> tuple[Array, Array]:
 def rectangles_points(
     rectangles: Sequence[tuple[Array, Array, Array, Array]], fine: bool
 ) -> SectionPoints:
-    """Gauss points of rectangles (height, width, y and z of the centre), shape (n,) each."""
+    """Return Gauss points of sections composed of rectangles.
+
+    A rectangle is given by height, width, and y and z of its centre, shape (n,) each; m.
+    """
     corner, rule = box_rule((1,) + 2 * (_FINE if fine else _COARSE,))
     eta, zeta = corner[:, 1], corner[:, 2]
     y = [h[:, None] * eta + y_c[:, None] for h, _, y_c, _ in rectangles]
@@ -241,11 +251,11 @@ def rectangles_points(
 
 
 def rectangle_torsion(h: Array, w: Array) -> Array:
-    """Torsion constant of rectangles.
+    """Return the torsion constants of rectangles with sides h and w, shape (n,); m^4.
 
     J = a b^3 (1/3 - (64/pi^5) (b/a) sum_{n odd} tanh(n pi a / 2b) / n^5), b the shorter side
-    (Timoshenko & Goodier, Theory of Elasticity, sec. 109). With tanh x = 1 - 2/(e^{2x} + 1) and
-    sum 1/n^5 = 31/32 zeta(5) what is summed falls like e^{-n pi}: below round-off after n = 11.
+    (Timoshenko & Goodier, Theory of Elasticity, sec. 109). With tanh x = 1 - 2/(e^{2x} + 1) and sum
+    1/n^5 = 31/32 zeta(5) the remaining terms fall like e^{-n pi}: below round-off after n = 11.
     """
     a, b = np.where(h.real >= w.real, (h, w), (w, h))
     n = np.arange(1, 13, 2)[:, None]
@@ -261,23 +271,23 @@ def rectangle_torsion(h: Array, w: Array) -> Array:
 @final
 @dataclass(frozen=True)
 class GeneralSection(Section):
-    """A doubly symmetric section of which only the moments are known.
+    """A doubly symmetric section given by its area, second moments and torsion constant.
 
-    Modelled by four points; higher moments than the second, which only count for large curvatures,
-    are those of these points.
+    It is modelled by four points, which also give the higher moments; these matter for large
+    curvatures only.
 
     Parameters
     ----------
     area : float
-        m^2.
+        Area; m^2.
     second_moment_y : float
         Integral of y^2, which resists bending along the height; m^4.
     second_moment_z : float
         Integral of z^2, which resists bending along the width; m^4.
     torsion_moment : float
-        J in the torque G J kappa; m^4. It has no effect in the plane.
+        Torsion constant J in the torque G J kappa; m^4. It has no effect in the plane.
     shear_factors : (float, float), optional
-        1 by default.
+        Shear factors along y and z; 1 by default.
     """
 
     area: float
@@ -292,26 +302,26 @@ class GeneralSection(Section):
         return tuple(float(np.sqrt(3 * I / self.area)) for I in moments)  # type: ignore[return-value]
 
     def points(self, sizes: Array, fine: bool) -> SectionPoints:
-        """Four points at the radii of gyration."""
+        """Return four points at the radii of gyration, each with a quarter of the area."""
         area, I_y, I_z, _ = sizes.T[..., None]
         y, z = (np.sqrt(I / area) for I in (I_y, I_z))
         sign = np.array([-1.0, 1.0])
         return y * np.repeat(sign, 2), z * np.tile(sign, 2), area * np.full(4, 0.25)
 
     def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """Corners of the rectangle with the same area and second moments; m."""
+        """Return the corners of the rectangle with the same area and second moments; m."""
         area, I_y, I_z, _ = sizes.T
         h, w = (np.sqrt(12 * I / area) for I in (I_y, I_z))
         return corners(h, w)
 
     def torsion(self, sizes: Array) -> Array:
-        """Torsion constants as declared, shape (n,); m^4."""
+        """Return the torsion constants as declared, shape (n,); m^4."""
         return sizes[:, 3]
 
     def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
         """Return local over mean shear stress along y and z, (n, n_f) each; dimensionless.
 
-        They are those of the rectangle with the same area and second moments of area.
+        They are computed for the rectangle with the same area and second moments of area.
         """
         area, I_y, I_z, _ = columns(sizes)
         h, w = (np.sqrt(12 * I / area) for I in (I_y, I_z))
@@ -321,23 +331,24 @@ class GeneralSection(Section):
 @final
 @dataclass(frozen=True)
 class QuadratureSection(Section):
-    """A section of any shape, given by a quadrature rule; its sizes stretch it along y and z.
+    """A section of any shape, given by quadrature points and areas, with two scale factors.
 
     Parameters
     ----------
     height_factor, width_factor : float
-        What the coordinates y and z of the points are multiplied by; areas by the product.
+        Scale factors of the coordinates y and z of the points; areas scale with their product.
     places : sequence of (float, float)
         Coordinates y and z of the points from the beam's axis; m.
     areas : sequence of float
-        Area that each stands for; m^2.
+        Area that each point represents; m^2.
     shear_factors : (float, float), optional
-        1 by default.
+        Shear factors along y and z; 1 by default.
     torsion_constant : float, optional
-        By default the polar moment about the centroid, as if the section did not warp; m^4.
+        Torsion constant J; by default the polar moment about the centroid, as if the section did
+        not warp; m^4.
     shear_centre : (float, float), optional
-        Its coordinates y and z: forces through it do not twist the beam. By default the centroid;
-        stretched with the points.
+        Coordinates y and z of the shear centre: forces through it do not twist the beam. By default
+        the centroid; scaled with the points; m.
 
     Raises
     ------
@@ -370,7 +381,7 @@ class QuadratureSection(Section):
 
     @property
     def half_extents(self) -> tuple[float, float]:
-        """Largest |y| and |z| of the points; m."""
+        """Largest |y| and |z| of the scaled points; m."""
         y, z = np.max(np.abs(self.places), axis=0)
         return float(self.height_factor * y), float(self.width_factor * z)
 
@@ -380,17 +391,17 @@ class QuadratureSection(Section):
         return f[:, 0] * y, f[:, 1] * z, f[:, 0] * f[:, 1] * np.asarray(self.areas)
 
     def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """All points: the rule knows no contour."""
+        """Return y and z of all points: the quadrature rule has no contour."""
         y, z, _ = self.points(sizes, False)
         return y, z
 
     def twist_centre(self, sizes: Array, centroid: Array) -> Array:
-        """Shear centre as declared, times the factors; m."""
+        """Return the declared shear centre times the scale factors, shape (n, 1, 2); m."""
         if self.shear_centre is None:
             return centroid
         return np.asarray(sizes[:, None] * np.asarray(self.shear_centre))
 
     def torsion(self, sizes: Array) -> Array:
-        """Polar moments of the points about the centroid, shape (n,); m^4."""
+        """Return the polar moments of the points about the centroid, shape (n,); m^4."""
         _, moments = central_moments(*self.points(sizes, False))
         return moments.sum(axis=1)

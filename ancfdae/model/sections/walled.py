@@ -1,4 +1,4 @@
-"""Cross-sections of straight walls: rectangular box and I section."""
+"""Thin-walled cross-sections: rectangular box and I section."""
 
 from dataclasses import dataclass
 from typing import ClassVar, final
@@ -26,7 +26,7 @@ from ancfdae.numerics.arrays import Array
 
 @dataclass(frozen=True)
 class _Walled(Rectangular):
-    """Two flanges of the full width, joined by webs."""
+    """Base class of sections of two flanges of the full width, joined by webs."""
 
     webs: ClassVar[int] = 2
 
@@ -53,9 +53,9 @@ class Box(_Walled):
     height, width : float
         Outer extents along y and z; m.
     web_thickness : float
-        Of each wall along y; m.
+        Thickness of each wall along y; m.
     flange_thickness : float
-        Of each wall along z; m.
+        Thickness of each wall along z; m.
 
     Raises
     ------
@@ -64,7 +64,7 @@ class Box(_Walled):
     """
 
     def points(self, sizes: Array, fine: bool) -> SectionPoints:
-        """Gauss points of flanges and webs."""
+        """Return Gauss points of flanges and webs: y, z, m, and areas, m^2."""
         h, w, t_w, t_f = sizes.T
         y, z, inner, none = (h - t_f) / 2, (w - t_w) / 2, h - 2 * t_f, 0.0 * h
         walls = [(t_f, w, s * y, none) for s in (-1, 1)]
@@ -72,12 +72,15 @@ class Box(_Walled):
         return rectangles_points(walls, fine)
 
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
-        """Cowper (1966) for thin walls, either pair of them as the webs."""
+        """Return Cowper's (1966) shear factors for thin walls, either pair of walls as the webs."""
         h, w, t_w, t_f = sizes.T
         return _box_shear(h, w, t_w, t_f, nu), _box_shear(w, h, t_f, t_w, nu)
 
     def torsion(self, sizes: Array) -> Array:
-        """Bredt's formula 4 A^2 / int ds/t on the middle line, A the area that it encloses."""
+        """Return J by Bredt's formula, 4 A^2 / int ds/t, shape (n,); m^4.
+
+        The integral is along the middle line of the walls, which encloses the area A.
+        """
         h, w, t_w, t_f = sizes.T
         a, b = h - t_f, w - t_w
         return 2 * (a * b) ** 2 / (a / t_w + b / t_f)
@@ -89,7 +92,7 @@ class Box(_Walled):
         return np.concatenate([y, y_w], axis=1), np.concatenate([z, z_w], axis=1)
 
     def torsional_shear(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Bredt's J/(2 A t) along each wall; flanges have the full width."""
+        """Return Bredt's shear stress J/(2 A t) along each wall; flanges have the full width."""
         h, w, t_w, t_f = columns(sizes)
         flow = self.torsion(sizes)[:, None] / (2 * (h - t_f) * (w - t_w))
         web = in_web(y, h / 2 - t_f)
@@ -97,7 +100,7 @@ class Box(_Walled):
         return t_y, np.where(web, 0 * flow, np.sign(y.real) * flow / t_f)
 
     def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Jourawski's formula, either pair of walls as the webs."""
+        """Return Jourawski's local over mean shear stress, either pair of walls as the webs."""
         h, w, t_w, t_f = columns(sizes)
         along_y = stepped_share(h, h / 2 - t_f, w, 2 * t_w, y)
         return along_y, stepped_share(w, w / 2 - t_w, h, 2 * t_f, z)
@@ -115,7 +118,7 @@ class Box(_Walled):
 @final
 @dataclass(frozen=True)
 class ISection(_Walled):
-    """I section, one web in the middle; parameters and errors as of `Box`."""
+    """I section with one web in the middle; parameters and errors as in `Box`."""
 
     webs = 1
 
@@ -128,14 +131,14 @@ class ISection(_Walled):
         return np.concatenate([y, y[:, ::-1]], axis=1), np.concatenate([z, -z[:, ::-1]], axis=1)
 
     def points(self, sizes: Array, fine: bool) -> SectionPoints:
-        """Gauss points of flanges and web."""
+        """Return Gauss points of flanges and web: y, z, m, and areas, m^2."""
         h, w, t_w, t_f = sizes.T
         y, none = (h - t_f) / 2, 0.0 * h
         walls = [(t_f, w, s * y, none) for s in (-1, 1)]
         return rectangles_points([*walls, (h - 2 * t_f, t_w, none, none)], fine)
 
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
-        """Along y Cowper (1966) for thin walls; along z the flanges as two rectangles."""
+        """Return shear factors: along y Cowper (1966) for thin walls, along z two rectangles."""
         h, w, t_w, t_f = sizes.T
         a = h - t_f
         m, n = 2 * w * t_f / (a * t_w), w / a
@@ -144,12 +147,12 @@ class ISection(_Walled):
         return 10 * (1 + nu) * (1 + 3 * m) ** 2 / bottom, 10 * (1 + nu) / (12 + 11 * nu) * flanges
 
     def torsion(self, sizes: Array) -> Array:
-        """Sum of the three rectangles; warping is free."""
+        """Return J as the sum over the three rectangles, shape (n,), m^4; warping is free."""
         h, w, t_w, t_f = sizes.T
         return 2 * rectangle_torsion(w, t_f) + rectangle_torsion(h - 2 * t_f, t_w)
 
     def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """Places of the flanges' outer sides and of the web's sides; see `around`."""
+        """Return y and z of points on the outer sides of flanges and the sides of the web, m."""
         h, w, t_w, t_f = sizes.T
         (y_f, z_f), (y_w, z_w) = around(t_f, w), around(h - 2 * t_f, t_w)
         shift = ((h - t_f) / 2)[:, None]
@@ -160,7 +163,7 @@ class ISection(_Walled):
         )
 
     def torsional_shear(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Shear stresses of the three rectangles, which have one rate of twist; m."""
+        """Return the shear stresses of three rectangles with one rate of twist, (n, n_f); m."""
         h, w, t_w, t_f = columns(sizes)
         flange = y - np.sign(y.real) * (h - t_f) / 2
         walls = (
@@ -172,7 +175,7 @@ class ISection(_Walled):
         return t_y, t_z
 
     def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Local over mean shear stress by Jourawski's formula, (n, n_f); dimensionless."""
+        """Return Jourawski's local over mean shear stress, (n, n_f) each; dimensionless."""
         h, w, t_w, t_f = columns(sizes)
         along_y = stepped_share(h, h / 2 - t_f, w, t_w, y)
         return along_y, stepped_share(w, t_w / 2, 2 * t_f, h, z)
@@ -192,6 +195,6 @@ def _box_shear(h: Array, w: Array, t_w: Array, t_f: Array, nu: Array) -> Array:
 
 
 def _cowper(m: Array, nu: Array) -> Array:
-    """Return the part that denominators of Cowper's factors of boxes and I sections share."""
+    """Return the terms common to Cowper's shear factors of boxes and I sections."""
     plain = 12 + 72 * m + 150 * m**2 + 90 * m**3
     return plain + nu * (11 + 66 * m + 135 * m**2 + 90 * m**3)

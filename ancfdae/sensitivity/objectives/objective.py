@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
 @final
 class NonFiniteObjectiveError(AncfdaeError):
-    """An objective, or its derivative, that is not a finite number.
+    """Raised if an objective, or its derivative, is not a finite number.
 
-    `time` is the first instant at which its observable is not finite; None if every observable is
+    `time` (s) is the first time at which its observable is not finite; None if every observable is
     finite but a function of objectives is not.
     """
 
@@ -50,13 +50,14 @@ class NonFiniteObjectiveError(AncfdaeError):
 class ObjectivePartials:
     """Value and partial derivatives of an objective.
 
-    The design derivative of the objective is
-    sum_n (q[n] . q_b[n] + v[n] . v_b[n] + lam[n] . lam_b[n]) + b, plus that through the states of
-    the integrals taken beside the motion, where these were integrated without sensitivities.
+    The design derivative of the objective is sum_n (q[n] . q_b[n] + v[n] . v_b[n] + lam[n] .
+    lam_b[n]) + b, plus the derivative through the states of integrals taken during the steps, where
+    these were integrated without sensitivities.
 
-    Row n of q, v and lam is the derivative in the state at instant n, quadrature weights included;
-    None if the objective does not depend on it. b, (n_b,), is that in the design variables with the
-    states of the instants held, `densities` are weights and partials of these integrals.
+    Row n of q, v and lam is the derivative in the state at time point n, quadrature weights
+    included; None if the objective does not depend on it. b, (n_b,), is the derivative in the
+    design variables at fixed states; `densities` are pairs of weight and partials of the integrals
+    taken during the steps.
     """
 
     value: float
@@ -67,16 +68,16 @@ class ObjectivePartials:
     densities: tuple[tuple[float, Density], ...] = ()
 
 
-#: Objectives whose integrals the integrator took beside the motion.
+#: Objectives whose integrals the integrator took during its steps, with these integrals.
 Totals: TypeAlias = "Mapping[object, Total]"
 NO_TOTALS: Totals = {}
 
 
 class Objective(Expression["Objective"]):
-    """One number per run.
+    """A function of a whole run with one number as value.
 
-    Objectives combine by + - * / ** and elementary NumPy functions with each other and with
-    numbers into objectives.
+    Objectives combine by + - * / ** and elementary NumPy functions with each other and with numbers
+    into objectives.
     """
 
     def of(self, function: Function, operands: tuple[object, ...]) -> Objective:
@@ -84,19 +85,19 @@ class Objective(Expression["Objective"]):
         return Combination(function, operands)
 
     def accepts(self, other: object) -> bool:
-        """Whether the other expression is an objective."""
+        """Return whether `other` is an objective."""
         return isinstance(other, Objective)
 
     @abc.abstractmethod
     def check(self, system: MechanicalSystem, t_end: float) -> None:
-        """Refuse, before anything is integrated, what a run to `t_end` cannot yield."""
+        """Raise, before anything is integrated, if a run to `t_end` (s) lacks the objective."""
 
     @abc.abstractmethod
     def value(self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS) -> Any:
         """Return the value: a float, or a complex number for complex states or design values.
 
-        `totals` has the objectives whose integrals the integrator took; the others are sums over
-        the states. Raises NonFiniteObjectiveError.
+        `totals` holds the objectives whose integrals the integrator took; others are sums over the
+        states. Raises NonFiniteObjectiveError.
         """
 
     @abc.abstractmethod
@@ -109,15 +110,15 @@ class Objective(Expression["Objective"]):
 @final
 @dataclass(frozen=True, eq=False)
 class Combination(Operation, Objective):
-    """A function of objectives."""
+    """A function of objectives, such as their sum, as an objective."""
 
     def check(self, system: MechanicalSystem, t_end: float) -> None:
-        """Check every objective in it."""
+        """Check every objective in this function of objectives against the run."""
         for objective in self._leaves():
             objective.check(system, t_end)
 
     def value(self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS) -> Any:
-        """Evaluate every objective in it once."""
+        """Return the value of the function of objectives, each of them evaluated once."""
         nodes = evaluated(self, lambda leaf: np.asarray(leaf.value(system, states, totals)))
         value = list(nodes.values())[-1]
         require_finite_number("the value", value)
@@ -126,7 +127,7 @@ class Combination(Operation, Objective):
     def partials(
         self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
     ) -> ObjectivePartials:
-        """Chain rule over the objectives in it."""
+        """Return value and partials by the chain rule over the objectives in the function."""
         parts = {leaf: leaf.partials(system, states, totals) for leaf in self._leaves()}
         nodes = evaluated(self, lambda leaf: np.asarray(parts[leaf].value))
         value = list(nodes.values())[-1]
@@ -150,6 +151,6 @@ class Combination(Operation, Objective):
 
 
 def require_finite_number(what: str, x: Array) -> None:
-    """Refuse a value of a function of objectives, or a derivative, that is no number."""
+    """Raise NonFiniteObjectiveError unless a value or derivative of a combination is finite."""
     if not np.isfinite(x):
         raise NonFiniteObjectiveError("function of objectives", what, None)

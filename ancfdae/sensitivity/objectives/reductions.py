@@ -1,9 +1,9 @@
 """Objectives of one observable: integral, values at times, smooth maximum.
 
-Each is a function of the observable's values at the instants of the run, combined with
-quadrature weights; all methods of differentiation use the same weights, so that they
-differentiate the same number. Integrals over time are taken from the integrator where it took
-them beside the motion (`Total`).
+Each is a function of the observable's values at the time points of the run, combined with
+quadrature weights; all methods of differentiation use the same weights, so that they differentiate
+the same number. Integrals over time are taken from the integrator if it computed them during its
+steps (`Total`).
 """
 
 import abc
@@ -32,7 +32,7 @@ from ancfdae.sensitivity.observables.observable import Observable, ObservablePar
 
 
 class Reduction(Objective):
-    """A number made of the values of one observable at the instants of a run."""
+    """An objective computed from the values of one observable at the time points of a run."""
 
     observable: Observable
 
@@ -46,40 +46,40 @@ class Reduction(Objective):
 
     @abc.abstractmethod
     def check_times(self, t_end: float) -> None:
-        """Refuse instants outside the run."""
+        """Raise InvalidInputError if the objective reads times outside the run."""
 
     @abc.abstractmethod
     def weights(self, grid: TimeGrid) -> Array:
-        """Return the weight of every instant, shape (k,); zero for those that do not matter."""
+        """Return the weight of every time point, (k,); zero where the value does not matter."""
 
     @abc.abstractmethod
     def reduce(self, x: Array, w: Array) -> Array:
-        """Return the objective from values x and quadrature weights w, none of them zero."""
+        """Return the objective from the observable's values x, (k,), and nonzero weights w."""
 
     @abc.abstractmethod
     def slopes(self, x: Array, w: Array) -> Array:
-        """Return the derivative of `reduce` in x, for real x."""
+        """Return the derivatives of `reduce` in real values x of the observable, shape of x."""
 
     def check(self, system: MechanicalSystem, t_end: float) -> None:
-        """Refuse an observable that does not exist, or instants outside the run."""
+        """Raise if the system lacks the observable, or the run the times of the objective."""
         self.observable.check(system)
         self.check_times(t_end)
 
     def value(self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS) -> Any:
-        """Return the objective of states, by the observable at their times."""
+        """Return the objective from the observable's values, or from its integral in `totals`."""
         if self in totals:
             return totals[self].value()
         return self.of_values(self.observable.value(system, states), states.grid).item()
 
     def of_values(self, x: Array, grid: TimeGrid) -> Array:
-        """Reduce values at the instants of a run."""
+        """Return the objective from the observable's values x, (k,), at the times of `grid`."""
         w = self.weights(grid)
         used = w != 0
         self._require_finite("the observable", x[used], grid.t[used])
         return self.reduce(x[used], w[used])
 
     def slopes_of_values(self, x: Array, grid: TimeGrid) -> Array:
-        """Return the derivative of `of_values` in every value, for real ones."""
+        """Return the derivatives of `of_values` in the values x, shape (k,), at their real part."""
         w = self.weights(grid)
         used, slopes = w != 0, np.zeros(len(w))
         slopes[used] = self.slopes(x[used].real, w[used])
@@ -88,7 +88,7 @@ class Reduction(Objective):
     def pulled_back(
         self, system: MechanicalSystem, states: States, nodes: dict[object, Array], slopes: Array
     ) -> ObservablePartials:
-        """Return slopes, one per instant, times the partials of the observable.
+        """Return `slopes`, one per time point, times the partials of the observable.
 
         `nodes` are the observable's values at the states, `Observable.node_values`.
         """
@@ -100,7 +100,7 @@ class Reduction(Objective):
     def partials(
         self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
     ) -> ObjectivePartials:
-        """Pull the derivative of the reduction back to the states."""
+        """Return value and partials of the objective in the states and the design variables."""
         if self in totals:
             return totals[self].partials()
         nodes = self.observable.node_values(system, states)
@@ -116,18 +116,18 @@ class Reduction(Objective):
 
 
 class AtInstants(Reduction):
-    """Sum of the values at some times of a run, interpolated with the order of the integrator."""
+    """Sum of the observable at given times, interpolated with the order of the integrator."""
 
     @abc.abstractmethod
     def instants(self, t_end: float) -> tuple[float, ...]:
-        """Return the times; refuse a run that ends before."""
+        """Return the times of the objective, s; InvalidInputError if the run ends before."""
 
     def check_times(self, t_end: float) -> None:
-        """Refuse a run that ends before."""
+        """Raise InvalidInputError if the run ends before a time of the objective."""
         self.instants(t_end)
 
     def weights(self, grid: TimeGrid) -> Array:
-        """Weights of the interpolation, summed over the times."""
+        """Return the interpolation weights of the time points, (k,), summed over the times."""
         w = np.zeros(len(grid.t))
         for time in self.instants(float(grid.t[-1])):
             around, share = grid.interpolation(time)
@@ -135,80 +135,81 @@ class AtInstants(Reduction):
         return w
 
     def reduce(self, x: Array, w: Array) -> Array:
-        """Return the sum of values x with weights w."""
+        """Return the objective: the sum of the observable's values x, (k,), with weights w."""
         return np.asarray(w @ x)
 
     def slopes(self, x: Array, w: Array) -> Array:
-        """Return the derivative of the sum in each value: the weights w."""
+        """Return the derivatives of the sum in the values x, (k,): the interpolation weights w."""
         return w
 
 
 class OverTime(Reduction):
-    """An objective over time: a mean of the observable, times a factor of the duration.
+    """An objective that is a mean over time of a function of the observable, times a factor.
 
-    The reductions of parts of a run, reduced with the durations, are the reduction of the whole.
+    The factor depends on the duration. Reducing the reductions of the parts of a run, weighted with
+    their durations, gives the reduction of the whole run.
     """
 
     def check_times(self, t_end: float) -> None:
-        """Accept every run: an integral has no times of its own."""
+        """Accept every run: an integral over time reads no given times."""
 
     def weights(self, grid: TimeGrid) -> Array:
-        """Quadrature weights times the factor; one for a single instant."""
+        """Return quadrature weights times the factor, (k,); one for a single time point."""
         w = grid.weights()
         return w * self.factor(float(np.sum(w))) if len(w) > 1 else np.ones(1)
 
     @abc.abstractmethod
     def factor(self, duration: float) -> float:
-        """Return the factor of the quadrature weights of a run."""
+        """Return the factor of the quadrature weights of a run of this duration, s."""
 
     @abc.abstractmethod
     def integrand(self, x: Array, near: float) -> Array:
-        """Return the integrand, shape of x: the reduction near a value of it, up to a constant."""
+        """Return the integrand, shape of x: the reduction about its value `near`."""
 
     def integrand_slope(self, x: Array, near: float) -> Array:
-        """Return the derivative of `integrand` in x, for real x."""
+        """Return the derivative of the integrand in the observable's value x, shape of x."""
         return np.asarray(self.integrand(x + 1j * STEP, near).imag / STEP)
 
     def slopes(self, x: Array, w: Array) -> Array:
-        """Weights times the derivative of the integrand at the reduction."""
+        """Return derivatives of the objective in x: weights times slopes of the integrand, (k,)."""
         return w * self.integrand_slope(x, float(self.reduce(x, w)))
 
 
 @final
 @dataclass(frozen=True)
 class Integral(OverTime):
-    """Integral of an observable over the run.
+    """Integral of an observable over the run; unit of the observable times s.
 
-    `IDA`, `IDAS` and `DOP853` take it beside the motion, to their tolerance, except that of a
-    `slope_angle`, whose turns are counted from instant to instant. On the instants of a solution
-    the quadrature has the order of the integrator: the trapezoidal rule on the steps of HHT,
-    Gauss-Lobatto rules on the instants of the others.
+    `IDA`, `IDAS` and `DOP853` take it during their steps, to their tolerance, except of a
+    `slope_angle`, whose turns are counted from one time point to the next. On the time points of a
+    solution the quadrature has the order of the integrator: the trapezoidal rule on the steps of
+    HHT, Gauss-Lobatto rules on the output times of the others.
     """
 
     observable: Observable
 
     def reduce(self, x: Array, w: Array) -> Array:
-        """Return the integral: the sum of weights times values."""
+        """Return the integral over time, a scalar: the sum of quadrature weights times values."""
         return np.asarray(w @ x)
 
     def factor(self, duration: float) -> float:
-        """Factor of the quadrature weights: one, for a plain integral."""
+        """Return one: the quadrature weights of a plain integral need no factor."""
         return 1.0
 
     def integrand(self, x: Array, near: float) -> Array:
-        """Return the integrand: the values x themselves."""
+        """Return the integrand of the objective, the observable's values x, in their shape."""
         return x
 
 
 @final
 @dataclass(frozen=True)
 class Terminal(AtInstants):
-    """Value of an observable at the last instant."""
+    """Value of an observable at the end of the run."""
 
     observable: Observable
 
     def instants(self, t_end: float) -> tuple[float, ...]:
-        """Return the end time of the run, s."""
+        """Return the only time that this objective reads, the end time, s."""
         return (t_end,)
 
 
@@ -266,7 +267,7 @@ class _Maximum(Reduction):
         require_positive(f"{type(self).__name__}, sharpness", self.sharpness)
 
     def reduce(self, x: Array, w: Array) -> Array:
-        """Split the largest x off, so that nothing overflows."""
+        """Return the scalar (1/k) log(sum of w exp(k x)), stable for large k x."""
         # SciPy's logsumexp takes 15 times as long, and integrators ask at every step.
         largest, k = np.max(x.real), self.sharpness
         return np.asarray(largest + np.log(w @ np.exp(k * (x - largest))) / k)
@@ -289,24 +290,24 @@ class SmoothMaximum(_Maximum, OverTime):
     """
 
     def factor(self, duration: float) -> float:
-        """Factor of the quadrature weights: one over the duration, for a mean over time."""
+        """Return one over the duration, which makes the integral a mean over time."""
         return 1.0 / duration
 
     def integrand(self, x: Array, near: float) -> Array:
-        """exp(k (x - near)) / k: at the smooth maximum the mean of its slope is one."""
+        """Return exp(k (x - near)) / k, in the shape of the observable's values x."""
         return np.asarray(np.exp(self.sharpness * (x - near)) / self.sharpness)
 
 
 @final
 @dataclass(frozen=True)
 class SmoothUpperBound(_Maximum):
-    """Smooth bound of the values at all instants, (1/k) log(sum of exp(k x_n)).
+    """Smooth upper bound of the values at all time points, (1/k) log(sum of exp(k x_n)).
 
-    It lies above the largest by log(n)/k at most, n the number of instants: what it keeps below a
-    limit is below it at every instant of the run. Applied to `maximum_von_mises` it bounds the
-    stress over place and time. It grows with the number of instants, so runs with other steps have
-    another value, and `error_bars` says nothing of it; `SmoothMaximum`, which lies below the
-    maximum, does not.
+    It lies above the largest by log(n)/k at most, n the number of time points: an observable whose
+    bound is below a limit is below it at every time point of the run. Applied to
+    `maximum_von_mises` it bounds the stress over place and time. It grows with the number of time
+    points, so runs with other steps have another value, and `error_bars` says nothing about it;
+    `SmoothMaximum`, which lies below the maximum, does not.
 
     Parameters
     ----------
@@ -316,31 +317,32 @@ class SmoothUpperBound(_Maximum):
     """
 
     def check_times(self, t_end: float) -> None:
-        """Accept every run: the bound has no times of its own."""
+        """Accept every run: the bound reads no given times."""
 
     def weights(self, grid: TimeGrid) -> Array:
         """Weight one for every time point, shape (n_t,): the bound is a plain sum."""
         return np.ones(len(grid.t))
 
     def slopes(self, x: Array, w: Array) -> Array:
-        """Shares of the values in the sum."""
+        """Return the share of each value in the sum of exponentials, shape of x."""
         return np.asarray(scipy.special.softmax(self.sharpness * x))
 
 
-# -- integrals taken beside the motion ---------------------------------------------------------
+# -- integrals taken during the steps ----------------------------------------------------------
 
 
-# Relative size of the value below which errors of its derivatives in ln b do not count.
+# Errors of derivatives in ln b are compared with at least _SMALL times the size of the value.
 _SMALL = 1e-2
 
 
 @final
 class Total(Integrand):
-    """Collects one objective over time part by part.
+    """Integrates one objective over time, part by part of a run.
 
-    A part adds its reduction m, that of the values as a mean, and, if `differentiated`, dm/db: the
-    total one where sensitivities are integrated, else that with the states held. The parts are
-    reduced with their durations: nothing overflows, and memory does not grow with the points.
+    A part adds its reduction m, a mean of its values, and, if `differentiated`, dm/db: the total
+    derivative where sensitivities are integrated, else the partial one at fixed states. At the end
+    the parts are reduced with their durations: nothing overflows, and memory does not grow with the
+    points.
     """
 
     def __init__(self, system: MechanicalSystem, reduction: OverTime, differentiated: bool) -> None:
@@ -350,7 +352,7 @@ class Total(Integrand):
         self._b = np.where(system.b == 0, 1.0, np.abs(system.b))
 
     def part(self, points: Points) -> PartialIntegral:
-        """Reduce the observable over the points."""
+        """Return the reduction of the observable over the points of a part, with its error."""
         reduction, observable, w = self._reduction, self._reduction.observable, points.weights
         states = _states(self._system, points)
         values = observable.node_values(self._system, states)
@@ -372,7 +374,7 @@ class Total(Integrand):
         return PartialIntegral(duration, value, slopes, size, error, not_finite)
 
     def add(self, part: PartialIntegral) -> None:
-        """Add the integral over a part of the run."""
+        """Add the integral of the objective over a part of the run."""
         self._parts.append(part)
         self._duration, self._size = self._duration + part.duration, self._size + part.size
 
@@ -396,7 +398,7 @@ class Total(Integrand):
         return x, w * self._reduction.factor(float(np.sum(w)))
 
     def _error(self, errors: Array, size: Array, duration: float) -> float:
-        """Largest error relative to the integral of this part, or to that of a usual one."""
+        """Return the largest error relative to the integral over this part or an average one."""
         usual = self._size * (duration / self._duration) if self._duration else 0.0
         scale = np.maximum(size, usual)
         scale = np.maximum(scale, _SMALL * scale[0])
@@ -411,13 +413,13 @@ class Total(Integrand):
 
 @final
 class _OverTimeDensity(Density):
-    """Partials of the integrand of a reduction near its value."""
+    """Partial derivatives of the integrand of a reduction about its value."""
 
     def __init__(self, system: MechanicalSystem, reduction: OverTime, value: float) -> None:
         self._system, self._reduction, self._value = system, reduction, value
 
     def partials(self, t: Array, q: Array, v: Array, lam: Array) -> tuple[Array, Array, Array]:
-        """Chain rule at every state."""
+        """Return H_q and H_v, (k, n_q), and H_lam, (k, n_lam), by the chain rule."""
         states, observable = States(t, q, v, lam), self._reduction.observable
         values = observable.node_values(self._system, states)
         weight = self._reduction.integrand_slope(list(values.values())[-1], self._value)
@@ -432,10 +434,10 @@ class _OverTimeDensity(Density):
 def totals_of(
     system: MechanicalSystem, objectives: Sequence[Objective], differentiated: bool
 ) -> dict[object, Total]:
-    """Return a collector for each integral that the objectives are made of.
+    """Return a `Total` for each integral over time in the objectives.
 
-    Not for one of an observable that remembers: points between the instants are visited in no
-    order, and full turns are not part of a state.
+    Integrals of observables with a memory, such as counts of turns, are left out: quadrature points
+    within steps are visited in no order, and full turns are not part of a state.
     """
     all_leaves = [leaf for objective in objectives for leaf in leaves(objective)]
     integrals = (
@@ -445,7 +447,7 @@ def totals_of(
 
 
 def read_at_end(system: MechanicalSystem, objectives: Sequence[Objective], t_end: float) -> bool:
-    """Tell whether objectives are functions of integrals and of the last instant alone."""
+    """Return whether objectives depend on integrals during the steps and the last state alone."""
     integrated = totals_of(system, objectives, False)
     read = (x for each in objectives for x in leaves(each) if x not in integrated)
     return all(

@@ -1,1 +1,1 @@
-"""Observables: what can be seen of a motion, with exact partial derivatives."""
+"""Observables: scalar functions of the state of a motion, with exact partial derivatives."""

@@ -1,4 +1,4 @@
-"""Expression trees: arithmetic on anything that has values and partial derivatives.
+"""Expression trees: arithmetic on objects that have values and partial derivatives.
 
 Observables and objectives share this tree and differ in their leaves. The derivative of an
 expression in its leaves comes from one sweep from the root to the leaves; each operation
@@ -24,13 +24,13 @@ from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.complex_step import FAILURES
 
-# Analytic on the whole real line, or infinite at their poles.
+# NumPy functions that are analytic on the whole real line, or infinite at their poles.
 _WHOLE = (
     *(np.add, np.subtract, np.multiply, np.divide, np.negative, np.positive),
     *(np.square, np.reciprocal, np.sin, np.cos, np.tan, np.arctan),
     *(np.sinh, np.cosh, np.tanh, np.arcsinh, np.exp, np.exp2, np.expm1),
 )
-# Real on a part of the real line only.
+# NumPy functions that are real on a part of the real line only.
 _EDGED = (
     *(np.power, np.sqrt, np.log, np.log2, np.log10),
     *(np.arcsin, np.arccos, np.arccosh, np.arctanh),
@@ -44,7 +44,6 @@ _REPAIRS = {
     "minimum": "Use 0.5 * (x + y - sqrt((x - y)**2 + eps**2)), or SmoothMaximum over time.",
     "sign": "Use tanh(x / eps).",
     "heaviside": "Use 0.5 * (1 + tanh(x / eps)).",
-    "arctan2": "Use slope_angle(point), or arctan(y / x).",
     "hypot": "Use sqrt(x**2 + y**2).",
     "cbrt": "Use x**(1 / 3).",
     "log1p": "Use log(1 + x).",
@@ -58,10 +57,10 @@ _REPAIRS = {
 @final
 @dataclass(frozen=True)
 class Function:
-    """A function of arrays, element by element.
+    """A function of arrays, element by element, with its partial derivatives.
 
-    `edged` if it may be real on a part of the real line only; `by_user` if a user wrote it, so that
-    its derivative is checked.
+    It is `edged` if it may be real on a part of the real line only, and `by_user` if a user wrote
+    it, so that its derivative is checked.
     """
 
     name: str
@@ -83,24 +82,34 @@ class Function:
         return y
 
     def slope(self, operands: Sequence[Array], k: int) -> Array:
-        """Return the partial derivative in operand k at real operands."""
+        """Return the partial derivative in operand k at real operands, element by element."""
         moved = [x + 1j * STEP if i == k else x for i, x in enumerate(operands)]
         slope: Array = self(moved).imag / STEP
         return slope
+
+
+def angle_of(y: Array, x: Array) -> Array:
+    """Return the angle of the vector (x, y) from -pi to pi, rad; analytic in complex x and y."""
+    turn: Array = np.arctan2(np.real(y), np.real(x))
+    if not (np.iscomplexobj(y) or np.iscomplexobj(x)):
+        return turn
+    c, s = np.cos(turn), np.sin(turn)
+    angle: Array = turn + np.arctan((c * y - s * x) / (c * x + s * y))
+    return angle
 
 
 _FUNCTIONS = {
     ufunc: Function(ufunc.__name__, ufunc, edged)
     for ufuncs, edged in ((_WHOLE, False), (_EDGED, True))
     for ufunc in ufuncs
-}
+} | {np.arctan2: Function("arctan2", angle_of, edged=False)}
 
 
 def analytic(ufunc: np.ufunc, method: str = "__call__", plain: bool = True) -> Function:
-    """Return a NumPy function that may be used in an expression.
+    """Return a NumPy function as a `Function` for expressions.
 
-    Refused are functions that are not analytic, methods such as ``reduce``, and calls that are not
-    `plain` but have options such as ``where``.
+    Raises InvalidInputError for functions that are not analytic, methods such as ``reduce``, and
+    calls that are not `plain` but have options such as ``where``.
     """
     name = f"numpy.{ufunc.__name__}"
     if ufunc not in _FUNCTIONS:
@@ -119,9 +128,9 @@ def analytic(ufunc: np.ufunc, method: str = "__call__", plain: bool = True) -> F
 
 
 def require_vectorised(where: str, rows: Callable[[slice], Array], count: int) -> None:
-    """Refuse a function that does not work instant by instant on whole arrays.
+    """Raise InvalidInputError unless a function works on arrays, each time point by itself.
 
-    `rows` gives its values at a slice of the `count` instants.
+    `rows` returns its values at a slice of the `count` time points.
     """
     repair = "Return one number per instant, from that instant alone."
     try:
@@ -144,7 +153,7 @@ K = TypeVar("K", bound="Expression[Any]")
 
 
 def _binary(ufunc: np.ufunc) -> Callable[[Expression[K], K | float], K]:
-    """Operator that applies a NumPy function, which `analytic` may refuse, to self and other."""
+    """Return an operator method that applies a NumPy function to self and other (`analytic`)."""
 
     def operator(self: Expression[K], other: K | float) -> K:
         return self.combined(analytic(ufunc), (self, other))
@@ -153,7 +162,7 @@ def _binary(ufunc: np.ufunc) -> Callable[[Expression[K], K | float], K]:
 
 
 def _reflected(ufunc: np.ufunc) -> Callable[[Expression[K], float], K]:
-    """Operator that applies a NumPy function to other and self."""
+    """Return an operator method that applies a NumPy function to other and self."""
 
     def operator(self: Expression[K], other: float) -> K:
         return self.combined(analytic(ufunc), (other, self))
@@ -162,7 +171,7 @@ def _reflected(ufunc: np.ufunc) -> Callable[[Expression[K], float], K]:
 
 
 def _unary(ufunc: np.ufunc) -> Callable[[Expression[K]], K]:
-    """Operator that applies a NumPy function, which `analytic` may refuse."""
+    """Return an operator method that applies a NumPy function to self (see `analytic`)."""
 
     def operator(self: Expression[K]) -> K:
         return self.combined(analytic(ufunc), (self,))
@@ -171,18 +180,18 @@ def _unary(ufunc: np.ufunc) -> Callable[[Expression[K]], K]:
 
 
 class Expression(abc.ABC, Generic[K]):
-    """A leaf or an `Operation`, with the operators of expressions of kind K."""
+    """A leaf or an `Operation` of an expression tree, with the operators of its kind K."""
 
     @abc.abstractmethod
     def of(self, function: Function, operands: tuple[object, ...]) -> K:
-        """Return an operation on expressions of this kind."""
+        """Return the operation `function` of operands as an expression of this kind."""
 
     @abc.abstractmethod
     def accepts(self, other: object) -> bool:
-        """Whether the other expression is of this kind."""
+        """Return whether `other` is an expression of this kind."""
 
     def combined(self, function: Function, operands: Sequence[object]) -> K:
-        """Return a function of expressions of this kind and finite numbers; refuse others."""
+        """Return a function of expressions of this kind and finite numbers; others are rejected."""
         return self.of(function, tuple(self._operand(x) for x in operands))
 
     def _operand(self, operand: object) -> object:
@@ -208,7 +217,7 @@ class Expression(abc.ABC, Generic[K]):
     def __array_ufunc__(
         self, ufunc: np.ufunc, method: str, *inputs: object, **options: object
     ) -> K:
-        """Apply a NumPy function; see `analytic` for those that are refused."""
+        """Apply a NumPy function; `analytic` rejects those without a derivative."""
         return self.combined(analytic(ufunc, method, not options), inputs)
 
     __add__, __radd__ = _binary(np.add), _reflected(np.add)
@@ -218,7 +227,7 @@ class Expression(abc.ABC, Generic[K]):
     __pow__, __rpow__ = _binary(np.power), _reflected(np.power)
     __neg__, __pos__ = _unary(np.negative), _unary(np.positive)
 
-    # `analytic` refuses these and says what to use instead.
+    # `analytic` rejects these functions and names a smooth alternative.
     __abs__ = _unary(np.absolute)
     __floordiv__, __mod__ = _binary(np.floor_divide), _binary(np.remainder)
     __lt__, __le__ = _binary(np.less), _binary(np.less_equal)
@@ -235,9 +244,9 @@ class Expression(abc.ABC, Generic[K]):
 
 @dataclass(frozen=True, eq=False)
 class Operation:
-    """A function of operands: expressions and numbers.
+    """A function of operands, which are expressions and numbers.
 
-    Compared by identity, so that trees of any depth can be keys.
+    Compared by identity, so that trees of any depth can be keys of a dictionary.
     """
 
     function: Function
@@ -245,7 +254,10 @@ class Operation:
 
 
 def in_order(root: object) -> list[object]:
-    """Nodes of an expression, each once, operands before operations; without recursion."""
+    """Return the nodes of an expression, each once, operands before operations.
+
+    Trees may be deep, so there is no recursion.
+    """
     done: dict[object, None] = {}
     stack = [root]
     while stack:
@@ -261,12 +273,12 @@ def in_order(root: object) -> list[object]:
 
 
 def leaves(root: object) -> list[object]:
-    """Distinct leaves of an expression."""
+    """Return the distinct leaves of an expression."""
     return [node for node in in_order(root) if not isinstance(node, Operation)]
 
 
 def evaluated(root: object, leaf_value: Callable[[Any], Array]) -> dict[object, Array]:
-    """Values of all nodes of an expression, the expression last."""
+    """Return the values of all nodes of an expression by node, the expression last."""
     values: dict[object, Array] = {}
     with np.errstate(all="ignore"):
         for node in in_order(root):
@@ -278,15 +290,15 @@ def evaluated(root: object, leaf_value: Callable[[Any], Array]) -> dict[object, 
 
 
 def operands_of(operation: Operation, values: Mapping[object, Array]) -> list[Array]:
-    """Values of the operands of an operation."""
+    """Return the values of the operands of an operation, from the `values` of all nodes."""
     return [np.asarray(x) if isinstance(x, float) else values[x] for x in operation.operands]
 
 
 def leaf_weights(values: Mapping[object, Array], weight: Array) -> dict[object, Array]:
-    """Return the derivatives of sum(weight * root) in the values of the leaves.
+    """Return the derivatives of sum(weight * root) in the values of the leaves, by leaf.
 
-    `values` are those of all nodes, real, as `evaluated` returns them. Where the weight is zero
-    nothing contributes, even if a derivative is not finite there.
+    `values` holds the real values of all nodes, as `evaluated` returns them. Where the weight is
+    zero the derivative is zero, even if a partial derivative is not finite there.
     """
     nodes = list(values)
     weights: dict[object, Array] = {nodes[-1]: weight}

@@ -1,9 +1,9 @@
-"""Observables of mass: mass, centre, moments of inertia, momentum, of a body or the whole scene.
+"""Observables of mass: mass, centre of mass, moments of inertia, momentum, of a body or the scene.
 
 All are integrals of rho a b dV with a and b one of 1, a component of the position and one of the
-velocity. With vectors X that positions depend on linearly, the mass matrix m (x) I_d holds them
-all: int rho r_i r_j dV = sum_ab m_ab X_ai X_bj, with X = 1 for positions and 0 for slopes in place
-of r where the factor is one.
+velocity. With vectors X on which positions depend linearly, the mass matrix m (x) I_d gives them
+all: int rho r_i r_j dV = sum_ab m_ab X_ai X_bj. Where a factor is one, X is 1 for positions and 0
+for slopes in place of r.
 """
 
 from collections.abc import Sequence
@@ -60,7 +60,8 @@ def inertia(
     beam : str, optional
         Name of a beam, a body or a point mass.
     about : MaterialPoint or sequence of float, optional
-        A point of a body, which may move, or a place; by default the centre of mass.
+        Reference point: a point of a body, which may move, or a fixed position, m; by default the
+        centre of mass.
     """
     require_index("inertia, axis", axis)
     if other is not None:
@@ -78,9 +79,10 @@ def linear_momentum(axis: int, beam: str | None = None) -> Observable:
 
 
 def angular_momentum(axis: int = 2, beam: str | None = None) -> Observable:
-    """Return a component of the angular momentum about the origin; kg m^2/s.
+    """Return a component of the angular momentum of a body or the scene about the origin; kg m^2/s.
 
-    Of a beam, a body or a point mass, or of the whole scene; in the plane about z, axis 2.
+    `beam` names a beam, a body or a point mass; None is the whole scene. In the plane `axis` is 2,
+    z.
     """
     require_index("angular_momentum, axis", axis)
     first, second = (axis + 1) % 3, (axis + 2) % 3
@@ -91,7 +93,7 @@ def angular_momentum(axis: int = 2, beam: str | None = None) -> Observable:
 def _second(
     beam: str | None, i: int, j: int, about: MaterialPoint | Sequence[float] | None
 ) -> Observable:
-    """Return int rho (r_i - p_i) (r_j - p_j) dV."""
+    """Return int rho (r_i - p_i) (r_j - p_j) dV; p is `about`, or the centre of mass for None."""
     whole, m = MassIntegral(beam, left=i, right=j), mass(beam)
     F_i, F_j = MassIntegral(beam, right=i), MassIntegral(beam, right=j)
     if about is None:
@@ -104,16 +106,16 @@ def _place(about: MaterialPoint | Sequence[float], axis: int) -> Observable | fl
     if isinstance(about, MaterialPoint):
         return position(about, axis)
     require_vector("inertia, about", about)
-    # A plane lacks the third axis, which is refused with the observable.
+    # In the plane there is no third component; the observable rejects the axis later.
     return float(about[axis]) if axis < len(about) else 0.0
 
 
 @final
 @dataclass(frozen=True)
 class MassIntegral(Leaf):
-    """Integral of rho times two factors: components of positions, or one where they are None.
+    """Integral of rho a b dV, each factor a component of the position r, or one for None.
 
-    With `rate` the right factor is a component of the velocity.
+    With `rate` the right factor b is a component of the velocity.
     """
 
     beam: str | None = None
@@ -126,7 +128,7 @@ class MassIntegral(Leaf):
             require_text("mass, beam", self.beam)
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse a beam or an axis that does not exist."""
+        """Raise unless the scene has the beam and axes of this mass integral."""
         layout = known_scene(system).naming.layout
         if self.beam is not None:
             layout.owner(self.beam)
@@ -140,14 +142,14 @@ class MassIntegral(Leaf):
                 )
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return a^T M b for states, shape (n_t,): one factor per axis."""
+        """Return the mass integral a^T M b at the states, shape (k,)."""
         scene = known_scene(system)
         a, b = self._factors(scene, states)
         value = np.sum(a * scene.energies.momenta(b, self.beam), axis=1)
         return np.broadcast_to(value, (len(states.t),))
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """M b and M a where a and b come from, and a^T M_b b by polarisation."""
+        """Return M b and M a as partials in q or v, and a^T M_b b by polarisation."""
         scene = known_scene(system)
         a, b = self._factors(scene, states)
         parts, d = dict[str, Array](), scene.naming.layout.d
@@ -165,7 +167,7 @@ class MassIntegral(Leaf):
         return LeafGradient(q=rows.get("q"), v=rows.get("v"), b=gradient)
 
     def _factors(self, scene: AncfSystem, states: States) -> tuple[Array, Array]:
-        """Both factors as vectors along the first axis, shape (k or 1, n_q)."""
+        """Return both factors as coordinate vectors along the first axis, shape (k or 1, n_q)."""
         right = states.v if self.rate else states.q
         return self._factor(scene, states.q, self.left), self._factor(scene, right, self.right)
 
@@ -177,7 +179,7 @@ class MassIntegral(Leaf):
 
 
 def _spread(component: Array, axis: int, d: int) -> Array:
-    """Vectors with one component, shape (k, n_vectors) to (k, n_vectors d)."""
+    """Return vectors, (k, n_vectors d), whose component `axis` is `component`, (k, n_vectors)."""
     vectors = np.zeros((*component.shape, d), dtype=component.dtype)
     vectors[..., axis] = component
     return vectors.reshape(len(component), -1)

@@ -1,6 +1,7 @@
 """Base class of observables: a number at every time, with partials in states and design.
 
-Its arguments are states over time, and a system that knows names of points and joints.
+Values are computed from states over time, and from a system or solution that knows the names of
+points and joints.
 """
 
 from __future__ import annotations
@@ -34,21 +35,21 @@ from ancfdae.sensitivity.observables.expression import (
 
 
 class Named(Protocol):
-    """Anything that knows named points and joints: a mechanical system or a solution."""
+    """An object that knows named points and joints: a mechanical system or a solution."""
 
     @property
     def naming(self) -> Naming | None:
-        """Names of points and joints."""
+        """Names of points and joints; None for a system without them."""
 
 
 @final
 @dataclass(frozen=True)
 class States:
-    """States of a system at a sequence of instants, as rows, real or complex.
+    """States of a system at k times, one row each, real or complex; shapes as in `Solution`.
 
-    `degree` is the degree of the polynomials between the instants (`TimeGrid`). Some leaves, such
-    as angles counted over turns, remember earlier values: `past` holds their values at the first
-    instant of a part of a run, by leaf.
+    `degree` is the degree of the polynomials between the time points (`TimeGrid`). Some leaves,
+    such as angles counted over turns, depend on earlier values: `past` holds their values at the
+    first time point of a part of a run, by leaf.
     """
 
     t: Array
@@ -60,21 +61,21 @@ class States:
 
     @property
     def grid(self) -> TimeGrid:
-        """The instants, for integrals and values between them."""
+        """The time points of the states as a grid, for integrals and interpolation."""
         return TimeGrid(self.t, self.degree)
 
     def rows(self, which: slice | list[int]) -> States:
-        """Return the states at some of the instants."""
+        """Return the states at the time points with indices `which`."""
         return States(self.t[which], self.q[which], self.v[which], self.lam[which])
 
 
 def states_of(solution: Solution) -> States:
-    """Return the states of a solution."""
+    """Return the states of a solution as `States`."""
     return States(solution.t, solution.q, solution.v, solution.lam, solution.degree)
 
 
 def known_naming(system: Named) -> SceneNaming:
-    """Return the names of an ANCF scene; refuse a system that has none."""
+    """Return the names of an ANCF scene; raise InvalidInputError for a system without them."""
     if not isinstance(system.naming, SceneNaming):
         raise InvalidInputError(
             "observable of a named point or joint",
@@ -99,7 +100,7 @@ def require_index(where: str, index: int, count: int = 3) -> None:
 
 
 def known_system(name: str, system: Named) -> MechanicalSystem:
-    """Return the system; refuse a solution, which cannot replace it."""
+    """Return `system` if it is a mechanical system; raise InvalidInputError for a solution."""
     if not isinstance(system, MechanicalSystem):
         raise InvalidInputError(
             f"observable {name!r}",
@@ -124,16 +125,16 @@ def known_scene(system: Named) -> AncfSystem:
 @final
 @dataclass(frozen=True)
 class Columns:
-    """Partials of one number per instant that vanish outside a few columns, none of them twice.
+    """Partials of one number per time point that vanish outside some columns of the state.
 
-    The values have shape (k, m), or (1, m) if all instants share them.
+    The values have shape (k, m), or (1, m) if all time points share them; columns are distinct.
     """
 
     columns: Array | slice
     values: Array
 
     def add_to(self, total: Array | None, weight: Array, n: int) -> Array:
-        """Add the rows times a weight per instant to an array (k, n), or to a new one."""
+        """Return `total`, (k, n), or a new array, with the rows added, times a weight per time."""
         total = np.zeros((len(weight), n)) if total is None else total
         total[:, self.columns] += weight[:, None] * self.values
         return total
@@ -142,7 +143,7 @@ class Columns:
 @final
 @dataclass(frozen=True)
 class LeafGradient:
-    """Partials of a leaf, in b with the states held, (k, n_b); None where it does not depend."""
+    """Partials of a leaf in q, v, lam and, at fixed states, b, (k, n_b); None where they vanish."""
 
     q: Columns | None = None
     v: Columns | None = None
@@ -151,7 +152,7 @@ class LeafGradient:
 
     @staticmethod
     def of(p: StatePartials) -> LeafGradient:
-        """Return the gradient of a leaf from its partials in some columns."""
+        """Return the gradient of a leaf from its partials in some columns of q and v."""
         v = Columns(p.columns, p.v) if np.any(p.v) else None
         return LeafGradient(q=Columns(p.columns, p.q), v=v, b=p.b)
 
@@ -159,10 +160,10 @@ class LeafGradient:
 @final
 @dataclass(frozen=True)
 class ObservablePartials:
-    """Value, (k,), and partials of an observable at every instant.
+    """Value, (k,), and partials of an observable at every time point.
 
-    Those in states, (k, n), are None where it does not depend on them; those in the design
-    variables, (k, n_b), hold the states.
+    Partials in states, (k, n), are None where the observable does not depend on them; partials in
+    the design variables, b, (k, n_b), are at fixed states.
     """
 
     value: Array
@@ -182,7 +183,7 @@ class ObservablePartials:
 
 
 class Observable(Expression["Observable"]):
-    """A number at every instant, H(t, q, v, lam, b) of eq. (20).
+    """A number at every time, H(t, q, v, lam, b) of eq. (20).
 
     Observables combine by + - * / ** and elementary NumPy functions with each other and with
     numbers into observables.
@@ -193,7 +194,7 @@ class Observable(Expression["Observable"]):
         return Composite(function, operands)
 
     def accepts(self, other: object) -> bool:
-        """Whether the other expression is an observable."""
+        """Return whether `other` is an observable."""
         return isinstance(other, Observable)
 
     def check(self, system: Named) -> None:
@@ -202,34 +203,35 @@ class Observable(Expression["Observable"]):
             leaf.check_leaf(system)
 
     def leaves(self) -> list[Leaf]:
-        """Return the distinct observables at the ends of the expression, without operations."""
+        """Return the distinct elementary observables (leaves) of the expression."""
         return cast("list[Leaf]", leaves(self))
 
     @property
     def remembers_any(self) -> bool:
-        """Whether a value depends on the instants before: states of parts then need their past."""
+        """Whether a value depends on earlier times, so that parts of a run need their `past`."""
         return any(leaf.remembers for leaf in self.leaves())
 
     def value(self, system: Named, states: States) -> Array:
-        """Return the values, shape (k,); complex if a state or a design variable is."""
+        """Return the values, shape (k,); complex if a state or a design variable is complex."""
         return list(self.node_values(system, states).values())[-1]
 
     def node_values(self, system: Named, states: States) -> dict[object, Array]:
-        """Return the values of all nodes of the tree, the observable last."""
+        """Return the values, (k,), of all nodes of the expression tree, the observable last."""
         return evaluated(self, lambda leaf: leaf.leaf_value(system, states))
 
     def partials(self, system: MechanicalSystem, states: States) -> ObservablePartials:
-        """Return values and partials at real states."""
+        """Return values and partial derivatives of the observable at real states."""
         values = self.node_values(system, states)
         return self.weighted_partials(system, states, values, np.ones(len(states.t)))
 
     def weighted_partials(
         self, system: MechanicalSystem, states: States, values: dict[object, Array], weight: Array
     ) -> ObservablePartials:
-        """Return the partials times a weight per instant, shape (k,).
+        """Return the partials times a weight per time point, shape (k,).
 
-        `values` are those of all nodes at these states, from `node_values`. Refused are complex
-        states, and a user's function that turns out not to be differentiable.
+        `values` are the values of all nodes at these states, from `node_values`. Raises
+        InvalidInputError for complex states, and for a user's function that proves not
+        differentiable.
         """
         if any(np.iscomplexobj(x) for x in values.values()):
             raise InvalidInputError(
@@ -254,35 +256,35 @@ class Observable(Expression["Observable"]):
 
 
 class Leaf(Observable):
-    """An observable that is not made of others; immutable and compared by value."""
+    """An elementary observable, not made of others; immutable and compared by value."""
 
-    #: Whether its value depends on the instants before, as a count of turns does. It is then
-    #: piecewise constant.
+    #: Whether its value depends on earlier times, as a count of turns does; it is then piecewise
+    #: constant.
     remembers: ClassVar[bool] = False
-    #: Whether its value may depend on time by itself, with the states held.
+    #: Whether its value may depend on time explicitly, at fixed states.
     names_time: ClassVar[bool] = False
 
     @abc.abstractmethod
     def check_leaf(self, system: Named) -> None:
-        """Refuse a leaf that the system does not have; see `Observable.check`."""
+        """Raise if the system lacks what the leaf observes; see `Observable.check`."""
 
     @abc.abstractmethod
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the values at real or complex states, shape (k,)."""
+        """Return the values of this elementary observable at the states, shape (k,)."""
 
     @abc.abstractmethod
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return the partials at real states."""
+        """Return the partial derivatives of this elementary observable at real states."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Composite(Operation, Observable):
-    """A function of observables."""
+    """A function of observables, such as their sum, as an observable."""
 
 
 def remembered(nodes: Mapping[object, Array]) -> dict[object, float]:
-    """Return the last values of leaves that remember: the past of what follows these instants."""
+    """Return the last values of leaves with a memory: the `past` for the next part of the run."""
     last = ((node, x) for node, x in nodes.items() if isinstance(node, Leaf) and node.remembers)
     return {node: float(x[-1]) for node, x in last}
 
@@ -325,7 +327,7 @@ def _require_same_sizes(system: MechanicalSystem, solution: Solution) -> None:
 
 
 def _require_derivatives(values: dict[object, Array]) -> None:
-    """Try the user's functions at the first, middle and last instant."""
+    """Raise InvalidInputError if a user's function lacks derivatives at three of the times."""
     for node in values:
         if isinstance(node, Operation) and node.function.by_user:
             x = [a[[0, len(a) // 2, -1]] for a in operands_of(node, values)]

@@ -1,9 +1,9 @@
-"""How bodies have turned since the reference configuration: directions, and angles about an axis.
+"""Rotation of bodies since the reference configuration: directions, and angles about an axis.
 
-The slopes r_k of a material point are F r_ok, r_ok in the reference, and F carries every
-direction of the reference along; of a rigid body F is its rotation. A body that turns about the
-axis a as seen from another one has G = F'^T F (F' = 1 for the ground), and its angle is the angle
-of the rotation about a that comes nearest to G,
+The slopes r_k of a material point are F r_ok, r_ok in the reference, and F transforms every
+direction of the reference; of a rigid body F is its rotation. A body that rotates about the axis a
+relative to another one has G = F'^T F (F' = 1 for the ground), and its angle is the angle of the
+rotation about a that is nearest to G,
 
     angle = atan2(a . sum_k e_k x G e_k, tr G - a . G a),
 
@@ -24,6 +24,7 @@ from ancfdae.errors.checks import require_direction
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import MaterialPoint, Quantity, require_point
 from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.sensitivity.observables.expression import angle_of
 from ancfdae.sensitivity.observables.observable import (
     Columns,
     Leaf,
@@ -34,11 +35,11 @@ from ancfdae.sensitivity.observables.observable import (
     known_scene,
     require_index,
 )
-from ancfdae.sensitivity.observables.points import Turns, angle_of
+from ancfdae.sensitivity.observables.points import Turns
 
 
 def orientation(point: MaterialPoint, direction: Sequence[float], axis: int) -> Observable:
-    """Return a component of the unit vector along a direction that a body carries along.
+    """Return a component of the unit vector along a direction that is fixed in a body.
 
     Parameters
     ----------
@@ -60,20 +61,20 @@ def rotation_angle(
     axis: Sequence[float] = (0.0, 0.0, 1.0),
     other: MaterialPoint | None = None,
 ) -> Observable:
-    """Return the angle about an axis by which a body has turned since the reference; rad.
+    """Return the angle about an axis by which a body has rotated since the reference; rad.
 
     It starts between -pi and pi and is continuous in time over full turns, provided that the body
-    turns by less than half a turn between neighbouring time points. In the joint of two bodies,
+    rotates by less than half a turn between neighbouring time points. In the joint of two bodies,
     such as a `Revolute`, it is the angle of the joint.
 
     Parameters
     ----------
     point : MaterialPoint
-        Point of the body; of a beam, where its section turns.
+        Point of the body; for a beam, of the section whose rotation is observed.
     axis : sequence of float
-        The axis in the reference configuration, which `other` carries along; in the plane z.
+        The axis in the reference configuration, which is fixed in `other`; in the plane z.
     other : MaterialPoint, optional
-        Point of the body against which the angle is taken; by default the ground.
+        Point of the body relative to which the angle is taken; by default the ground.
     """
     require_direction("rotation_angle, axis", axis, (3,))
     points = (point,) if other is None else (point, other)
@@ -81,27 +82,27 @@ def rotation_angle(
     return angle + Turns(angle)
 
 
-#: Changes of component i of slope k of point p, by (p, k, i): now and in the reference.
+#: Perturbations of component i of slope k of point p, by (p, k, i): in the state and the reference.
 Changes: TypeAlias = Mapping[tuple[int, int, int], tuple[complex, complex]]
 
 
 @dataclass(frozen=True)
 class Rotated(Leaf, abc.ABC):
-    """A function of how the material at some points has turned and strained."""
+    """A function of the deformation gradients F at some material points."""
 
     points: tuple[MaterialPoint, ...]
 
     @property
     @abc.abstractmethod
     def _where(self) -> str:
-        """Name of the observable in messages."""
+        """Name of the observable in error messages."""
 
     @abc.abstractmethod
     def _of(self, F: list[Array]) -> Array:
-        """Return the values, shape (k,), from F of each point, (k, d, d), complex or real."""
+        """Return the values, (k,), from F of each point, (k, d, d), real or complex."""
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse points that do not exist, and cables, whose sections do not turn."""
+        """Raise for points that do not exist, and for cables, whose sections have no rotation."""
         naming = known_scene(system).naming
         for point in self.points:
             beams = (beam for beam in naming.layout.beams if beam.name == point.beam)
@@ -114,11 +115,11 @@ class Rotated(Leaf, abc.ABC):
                 )
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the values, shape (k,)."""
+        """Return the values of the orientation or angle at the states, shape (k,)."""
         return self._value(known_scene(system), states, {})
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Differentiate in every component of the slopes, now and in the reference."""
+        """Return partials by complex steps in the slopes of the states and of the reference."""
         scene, d = known_scene(system), known_scene(system).naming.layout.d
         n_t, n_q = states.q.shape
         q, b = np.zeros((n_t, n_q)), np.zeros((n_t, system.n_b))
@@ -137,7 +138,7 @@ class Rotated(Leaf, abc.ABC):
         return LeafGradient(q=Columns(slice(None), q), b=b)
 
     def _value(self, scene: AncfSystem, states: States, changes: Changes) -> Array:
-        """Return the values, shape (k,), with slopes changed now and in the reference."""
+        """Return the observable, (k,), with `changes` of slopes of the state and the reference."""
         d, turned = scene.naming.layout.d, []
         for p, point in enumerate(self.points):
             now = np.stack([slope.of(states.q, d) for slope in self._slopes(scene, point)], axis=1)
@@ -161,7 +162,7 @@ class Rotated(Leaf, abc.ABC):
 @final
 @dataclass(frozen=True)
 class Orientation(Rotated):
-    """A component of the unit vector along a direction that a body carries along."""
+    """A component of the unit vector along a direction that is fixed in a body."""
 
     direction: tuple[float, ...]
     axis: int
@@ -176,7 +177,7 @@ class Orientation(Rotated):
         return "orientation"
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse a point, a direction or an axis that the scene does not have."""
+        """Raise unless the scene has the point, the direction and the axis."""
         super().check_leaf(system)
         d = known_scene(system).naming.layout.d
         if len(self.direction) < d or any(self.direction[d:]):
@@ -193,7 +194,7 @@ class Orientation(Rotated):
 @final
 @dataclass(frozen=True)
 class RotationAngle(Rotated):
-    """Angle about an axis of a point against the ground or another point, from -pi to pi."""
+    """Angle about an axis of a point relative to the ground or another point, from -pi to pi."""
 
     axis: tuple[float, ...]
 
@@ -207,7 +208,7 @@ class RotationAngle(Rotated):
         return "rotation_angle"
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse points that do not exist, and in the plane axes other than z."""
+        """Raise for points that do not exist, and in the plane for axes other than z."""
         super().check_leaf(system)
         if known_scene(system).naming.layout.d == 2 and (self.axis[0] or self.axis[1]):
             rule, repair = "must be along z in the plane", "Leave the axis out."
@@ -218,11 +219,11 @@ class RotationAngle(Rotated):
         G = in_space[0] if len(F) == 1 else np.swapaxes(in_space[1], 1, 2) @ in_space[0]
         a = np.array(self.axis) / np.linalg.norm(self.axis)
         turn = np.stack([G[:, k - 1, k - 2] - G[:, k - 2, k - 1] for k in range(3)], axis=1)
-        return angle_of(np.trace(G, axis1=1, axis2=2) - G @ a @ a, turn @ a)
+        return angle_of(turn @ a, np.trace(G, axis1=1, axis2=2) - G @ a @ a)
 
 
 def _in_space(F: Array) -> Array:
-    """Return F of the plane with e_z unchanged, shape (k, 3, 3)."""
+    """Return the deformation gradient F in space, (k, 3, 3), with e_z unchanged if F is planar."""
     if F.shape[1] == 3:
         return F
     whole = np.zeros((len(F), 3, 3), F.dtype)

@@ -1,21 +1,21 @@
 """Observables of material points: positions, slopes, their rates, accelerations, rotation.
 
-**The acceleration** of a point is given by the equations of motion in every state:
+**The acceleration** of a point follows from the equations of motion in every state:
 
     M a = Q(t, q, v) - Phi_q^T lam    (eq. 1)
 
-makes a component w^T a of the acceleration a function of the state, z^T (Q - Phi_q^T lam) with
-M z = w. Along any change of state and design, f = M a + Phi_q^T lam - Q stays zero: its derivative
-is w_b^T a - z^T (f_q dq + f_v dv + Phi_q^T dlam + f_b), a held in f.
+makes a component w^T a of the acceleration a function of the state, z^T (Q - Phi_q^T lam) with M z
+= w. Along any change of state and design, f = M a + Phi_q^T lam - Q stays zero: its derivative is
+w_b^T a - z^T (f_q dq + f_v dv + Phi_q^T dlam + f_b), a held in f.
 
-**The angular velocity** of a body at a point. The slopes r_k are the columns of F, by which a body
-turns and deforms. F' F^-1 is the gradient of velocities; its skew part turns a neighbourhood of the
-point by
+**The angular velocity** of a body at a point. The slopes r_k are the columns of F, the rotation and
+deformation of the body. F' F^-1 is the velocity gradient; its skew part rotates a neighbourhood of
+the point at
 
     omega = 1/2 sum_k g_k x r_k',    g_k . r_l = delta_kl,
 
-half the vorticity, which is the angular velocity of a rigid body. It does not depend on how long
-and how oblique the slopes are in the reference. A cable has only the slope along it: omega is the
+half the vorticity, which is the angular velocity of a rigid body. It does not depend on the lengths
+and angles of the slopes in the reference. A cable has only the slope along it: omega is the
 angular velocity of its tangent, r_x x r_x' / |r_x|^2, without the spin about it.
 """
 
@@ -33,7 +33,7 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import MaterialPoint, Quantity, require_point
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.sensitivity.observables.expression import Function
+from ancfdae.sensitivity.observables.expression import analytic
 from ancfdae.sensitivity.observables.observable import (
     Columns,
     Leaf,
@@ -56,14 +56,15 @@ def position(point: MaterialPoint, axis: int) -> Observable:
 
 
 def velocity(point: MaterialPoint, axis: int) -> Observable:
-    """Return a component of the velocity of a point; m/s. Axes as in `position`."""
+    """Return a component of the velocity of a point; m/s. Axes 0, 1 and 2 are x, y and z."""
     return VectorComponent(point, Quantity.POSITION, axis, rate=True)
 
 
 def slope(point: MaterialPoint, along: int, axis: int) -> Observable:
-    """Return a component of a slope vector; axes as in `position`.
+    """Return a component of a slope vector dr/dx, dr/dy or dr/dz of a point; dimensionless.
 
-    `along` is 0 for the tangent, 1 and 2 for the slopes along the section's height and width.
+    `along` is 0 for the tangent, 1 and 2 for the slopes along the section's height and width; axes
+    0, 1 and 2 are x, y and z.
     """
     require_index("slope, along", along)
     return VectorComponent(point, Quantity(along + 1), axis)
@@ -85,29 +86,21 @@ def slope_angle(point: MaterialPoint) -> Observable:
     """Return the angle of the tangent in the x-y plane, from x towards y; rad.
 
     It starts between -pi and pi and is continuous in time over full turns, provided that the
-    tangent turns by less than half a turn between neighbouring instants.
+    tangent rotates by less than half a turn between neighbouring time points.
     """
     t_x, t_y = slope(point, 0, 0), slope(point, 0, 1)
-    angle = t_x.combined(Function("slope_angle", angle_of, edged=False), (t_x, t_y))
+    angle = t_y.combined(analytic(np.arctan2), (t_y, t_x))
     return angle + Turns(angle)
 
 
 def axial_strain(point: MaterialPoint) -> Observable:
-    """Return the Green-Lagrange strain along the beam, (r_x . r_x / |r_ox|^2 - 1)/2.
+    """Return the Green-Lagrange strain along the beam, (r_x . r_x / |r_ox|^2 - 1)/2; dimensionless.
 
-    r_ox is the slope in the reference configuration, not of unit length off the centre line of
-    curved and twisted beams and between their nodes.
+    r_ox is the slope in the reference configuration; off the centre line of curved and twisted
+    beams, and between their nodes, it is not of unit length.
     """
     x, y, z = (VectorComponent(point, Quantity.SLOPE_X, i, may_lack=True) for i in range(3))
     return 0.5 * ((x * x + y * y + z * z) / ReferenceSquare(point) - 1.0)
-
-
-def angle_of(x: Array, y: Array) -> Array:
-    """Return the angle of (x, y) from -pi to pi; analytic, as the remaining angle is small."""
-    turn = np.arctan2(y.real, x.real)
-    c, s = np.cos(turn), np.sin(turn)
-    angle: Array = turn + np.arctan((c * y - s * x) / (c * x + s * y))
-    return angle
 
 
 @final
@@ -120,38 +113,38 @@ class Turns(Leaf):
     angle: Observable
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse an angle that the system does not have."""
+        """Raise if the system lacks the angle that is counted."""
         self.angle.check(system)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Add or take a turn where the angle would jump by more than half of one."""
+        """Return full turns, (k,), rad: one more or less where the angle jumps by half a turn."""
         angle = self.angle.value(system, states).real
         turns = 2 * np.pi * np.round((np.unwrap(angle) - angle) / (2 * np.pi))
         return np.asarray(turns + states.past.get(self, 0.0))
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return none: turns stay as they are."""
+        """Return no partials: the number of turns is piecewise constant."""
         return LeafGradient()
 
 
 @final
 @dataclass(frozen=True)
 class ReferenceSquare(Leaf):
-    """Squared length of the slope along a beam in the reference configuration."""
+    """Squared length of the slope r_ox along a beam in the reference configuration."""
 
     point: MaterialPoint
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse a point that does not exist, or a solution without its system."""
+        """Raise InvalidInputError unless `system` is an assembled scene."""
         known_scene(system)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """|r_ox|^2, the same at every instant."""
+        """Return the squared reference slope |r_ox|^2 at every time point, shape (k,)."""
         r_ox, _ = known_scene(system).inputs.in_reference(self.point, Quantity.SLOPE_X)
         return np.full(len(states.t), np.sum(r_ox * r_ox))
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """2 r_ox . r_oxb."""
+        """Return the partials of |r_ox|^2 in the design variables, 2 r_ox . r_oxb."""
         r_ox, r_oxb = known_scene(system).inputs.in_reference(self.point, Quantity.SLOPE_X)
         return LeafGradient(b=np.tile(2 * r_ox @ r_oxb, (len(states.t), 1)))
 
@@ -161,7 +154,7 @@ class ReferenceSquare(Leaf):
 class VectorComponent(Leaf):
     """A component of a position or slope vector, or of its time derivative if `rate`.
 
-    If it `may_lack`, it is zero where the plane has none.
+    If it `may_lack`, components that do not exist in the plane are zero.
     """
 
     point: MaterialPoint
@@ -175,7 +168,7 @@ class VectorComponent(Leaf):
         require_index("observable, axis", self.axis)
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse a point or an axis that does not exist."""
+        """Raise unless the scene has the point, the slope and the axis."""
         naming = known_naming(system)
         naming.layout.body(self.point.beam)
         if not self.may_lack:
@@ -185,13 +178,13 @@ class VectorComponent(Leaf):
         naming.vector(self.point, self.quantity)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Weights times coordinates or velocities."""
+        """Return the component, weights times coordinates or velocities, shape (k,)."""
         columns, weights, _ = self._combination(system)
         value: Array = self._of(states)[:, columns] @ weights
         return value
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return the weights, and their design derivatives times the coordinates."""
+        """Return the weights, and their design derivatives times coordinates or velocities."""
         columns, weights, weights_b = self._combination(system)
         rows = Columns(columns, weights[None])
         b = self._of(states)[:, columns] @ weights_b if np.any(weights_b) else None
@@ -201,7 +194,7 @@ class VectorComponent(Leaf):
         return states.v if self.rate else states.q
 
     def _combination(self, system: Named) -> tuple[Array, Array, Array]:
-        """Columns, weights and their design derivatives of the coordinates that matter."""
+        """Return columns, weights and design derivatives of weights with nonzero weight."""
         naming = known_naming(system)
         vector = naming.vector(self.point, self.quantity)
         # A weight is a power of the length times a number, and vanishes with its derivative.
@@ -217,7 +210,7 @@ def acceleration(point: MaterialPoint, axis: int) -> Observable:
     """Return a component of the acceleration of a point; m/s^2.
 
     Axes 0, 1 and 2 are x, y and z. It follows from positions, velocities and multipliers by the
-    equations of motion, and is relative to the frame where the scene turns with one.
+    equations of motion. In a scene with a rotating frame it is relative to that frame.
     """
     return Acceleration(point, axis)
 
@@ -235,18 +228,18 @@ class Acceleration(Leaf):
         require_index("acceleration, axis", self.axis)
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse a point or an axis that does not exist, or a solution without its system."""
+        """Raise unless `system` is an assembled scene that has the point and the axis."""
         naming = known_scene(system).naming
         require_index("acceleration, axis", self.axis, naming.layout.d)
         naming.vector(self.point, Quantity.POSITION)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return z^T (Q - Phi_q^T lam), shape (k,)."""
+        """Return the acceleration z^T (Q - Phi_q^T lam), M z = w, shape (k,); m/s^2."""
         scene = known_scene(system)
         return _applied_forces(scene, states) @ self._solved(scene)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return -z^T f_q, -z^T f_v, -z^T Phi_q^T and w_b^T a - z^T f_b."""
+        """Return partials -z^T f_q, -z^T f_v, -z^T Phi_q^T and w_b^T a - z^T f_b."""
         scene = known_scene(system)
         z, columns = self._solved(scene), slice(None)
         forces = _applied_forces(scene, states)
@@ -269,7 +262,7 @@ class Acceleration(Leaf):
         )
 
     def _solved(self, scene: AncfSystem) -> Array:
-        """Return z with M z = w, the weights of the component, shape (n_q,)."""
+        """Return z with M z = w, w the weights of the component, shape (n_q,)."""
         vector, d = scene.naming.vector(self.point, Quantity.POSITION), scene.naming.layout.d
         w = np.zeros(scene.n_q, dtype=vector.weights.dtype)
         w[vector.vectors * d + self.axis] = vector.weights
@@ -277,7 +270,7 @@ class Acceleration(Leaf):
 
 
 def _mass_factors(scene: AncfSystem) -> scipy.sparse.linalg.SuperLU:
-    """Factorise the mass, the same in all states of a scene."""
+    """Return the factors of the mass matrix, which is the same in all states of a scene."""
     return scipy.sparse.linalg.splu(scene.pattern.csr(scene.mass(scene.start()[0])).tocsc())
 
 
@@ -295,8 +288,8 @@ def _applied_forces(scene: AncfSystem, states: States) -> Array:
 def angular_velocity(point: MaterialPoint, axis: int = 2) -> Observable:
     """Return a component of the angular velocity of a body at a point; rad/s.
 
-    Axes 0, 1 and 2 are x, y and z; a scene in the plane has 2 alone. In a beam the material turns
-    at this rate in the mean of all directions, and in a cable the tangent does.
+    Axes 0, 1 and 2 are x, y and z; a planar scene has 2 alone. In a beam it is the mean rate of
+    rotation of all directions of the material, in a cable the rate of its tangent.
     """
     return AngularVelocity(point, axis)
 
@@ -314,7 +307,7 @@ class AngularVelocity(Leaf):
         require_index("angular_velocity, axis", self.axis)
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse a point that does not exist, and axes other than z in the plane."""
+        """Raise for a point that does not exist, and in the plane for axes other than z."""
         naming = known_naming(system)
         if naming.layout.d == 2 and self.axis != 2:
             raise InvalidInputError(
@@ -326,14 +319,14 @@ class AngularVelocity(Leaf):
         self._slopes(naming)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return a component of omega, shape (k,)."""
+        """Return component `axis` of the angular velocity omega, shape (k,); rad/s."""
         naming = known_naming(system)
         slopes, d = self._slopes(naming), naming.layout.d
         F, rates = (_stacked(slopes, x, d) for x in (states.q, states.v))
         return _spin(F, rates)[:, self.axis]
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Differentiate in every component of the slopes and of their rates."""
+        """Return partials by complex steps in the slopes and in their rates."""
         naming = known_naming(system)
         slopes, d = self._slopes(naming), naming.layout.d
         F, rates = (_stacked(slopes, x, d) for x in (states.q, states.v))
@@ -353,7 +346,7 @@ class AngularVelocity(Leaf):
         return LeafGradient(q=Columns(everywhere, q), v=Columns(everywhere, v), b=b)
 
     def _slopes(self, naming: SceneNaming) -> list[PointVector]:
-        """Return the directions of something rigid, or the slopes that a beam has at the point."""
+        """Return the directions of a rigid body, or the slopes that a beam has at the point."""
         body, axes = naming.layout.body(self.point.beam), range(naming.layout.d)
         beam = next((x for x in naming.layout.beams if x.name == body.name), None)
         if beam is None or beam.rigid is not None:
@@ -362,14 +355,14 @@ class AngularVelocity(Leaf):
 
 
 def _stacked(slopes: list[PointVector], states: Array, d: int) -> Array:
-    """Return the slopes, or their rates, in k states, shape (k, n, d)."""
+    """Return n slopes, or their rates, at k states, shape (k, n, d)."""
     return np.stack([slope.of(states, d) for slope in slopes], axis=1)
 
 
 def _spin(F: Array, rates: Array) -> Array:
-    """Return omega from slopes r_k and their rates, (k, n, d) each; shape (k, 3).
+    """Return omega, (k, 3), rad/s, from slopes r_k and their rates, (k, n, d) each.
 
-    The plane adds a third slope, e_z.
+    In the plane e_z is the third slope.
     """
     plane = ((0, 0), (0, 0), (0, 3 - F.shape[2]))
     F, rates = np.pad(F, plane), np.pad(rates, plane)

@@ -1,4 +1,4 @@
-"""Observables of joints, drives, loads and controllers, energies, time and design variables."""
+"""Observables of joints, drivers, loads and controllers, energies, time and design variables."""
 
 from dataclasses import dataclass
 from typing import ClassVar, final
@@ -25,19 +25,20 @@ from ancfdae.sensitivity.observables.observable import (
 
 
 def reaction(joint: str, axis: int) -> Observable:
-    """Return a component of the force of a joint on its first point; N. Axes as in `position`.
+    """Return a component of the force of a joint on its first point; N.
 
-    It is minus a multiplier of the joint's first equations, as in `Solution.reaction`; for joints
-    that hold a point in all directions. For others see `multiplier`.
+    Axes 0, 1 and 2 are x, y and z. The force is minus a multiplier of the joint's first equations,
+    as in `Solution.reaction`; for joints that hold a point in all directions. For others see
+    `multiplier`.
     """
     require_index("reaction, axis", axis)
     return -Multiplier(joint, axis, on_point=True)
 
 
 def multiplier(joint: str, row: int) -> Observable:
-    """Return the multiplier of an equation of a joint; these are counted from 0 on.
+    """Return the Lagrange multiplier of equation `row` of a joint, counted from 0.
 
-    The joint acts with -lam Phi_q: of an equation e . (r(point) - r(other)) = 0 it is minus the
+    The joint acts with -lam Phi_q: the multiplier of e . (r(point) - r(other)) = 0 is minus the
     force along e on the point; N.
     """
     return Multiplier(joint, row)
@@ -64,26 +65,26 @@ def gravitational_energy() -> Observable:
 def potential_energy() -> Observable:
     """Return the potential energy of the scene: strain of beams, weight, and springs; J.
 
-    With `kinetic_energy` its sum is constant where nothing else does work and nothing damps.
+    Its sum with `kinetic_energy` is constant if no other force does work and nothing damps.
     """
     return strain_energy() + gravitational_energy() + spring_energy()
 
 
 def elapsed_time() -> Observable:
-    """Return the time since the start; s."""
+    """Return the time since the start of the run; s."""
     return Time()
 
 
 def design_value(name: str) -> Observable:
-    """Return the value of a design variable such as ``"rod.height"``, the same at every instant."""
+    """Return the value of a design variable such as ``"rod.height"``, constant over time."""
     return Design(name)
 
 
 def spring_energy(load: str | None = None) -> Observable:
     """Return the elastic energy of a spring, or of all springs of the scene; J.
 
-    Springs are `SpringDamper`, `TorsionalSpringDamper` and `Bushing`. With a law the energy has its
-    factor, and changes with it.
+    Springs are `SpringDamper`, `TorsionalSpringDamper` and `Bushing`. The energy of a spring with a
+    law is multiplied by the law's factor, and changes with it.
     """
     return SpringEnergy(load)
 
@@ -100,17 +101,17 @@ class SpringEnergy(Leaf):
             require_text("spring_energy, load", self.load)
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse a load that does not exist or stores no energy."""
+        """Raise unless the scene has the load and it stores energy."""
         known_scene(system).works.of_springs(self.load)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the energy of the states, shape (k,)."""
+        """Return the elastic energy at the states, shape (k,); J."""
         springs = known_scene(system).works.of_springs(self.load)
         none = np.zeros(len(states.t))
         return sum((x.value(states.t, states.q, states.v) for x in springs), start=none)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Differentiate with respect to q and b."""
+        """Return the partials of the spring energy in q and b."""
         springs = known_scene(system).works.of_springs(self.load)
         q, b = np.zeros(states.q.shape), np.zeros((len(states.t), system.n_b))
         for each in springs:
@@ -122,7 +123,10 @@ class SpringEnergy(Leaf):
 @final
 @dataclass(frozen=True)
 class Multiplier(Leaf):
-    """Multiplier of an equation of a joint; `on_point` if it must be a force on its first point."""
+    """Lagrange multiplier of an equation of a joint.
+
+    If `on_point`, it must be minus a component of the joint's force on its first point.
+    """
 
     joint: str
     row: int
@@ -134,7 +138,7 @@ class Multiplier(Leaf):
             require_kind("multiplier, row", self.row, (int, np.integer), "Counted from 0 on.")
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse a joint, an equation or an axis that does not exist."""
+        """Raise unless the scene has the joint, and the joint the equation or axis."""
         layout = known_naming(system).layout
         place = layout.joint(self.joint)
         if not self.on_point:
@@ -150,11 +154,11 @@ class Multiplier(Leaf):
             require_index("reaction, axis", self.row, layout.d)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the multiplier of the row, shape (n_t,)."""
+        """Return the Lagrange multiplier of the joint's equation, shape (k,)."""
         return states.lam[:, self._column(system)]
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """One in the column of the multiplier."""
+        """Return the partial one in the column of this multiplier."""
         return LeafGradient(lam=Columns(np.array([self._column(system)]), np.ones((1, 1))))
 
     def _column(self, system: Named) -> int:
@@ -174,20 +178,20 @@ class Energy(Leaf):
             require_text("energy, beam", self.beam)
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse a beam that does not exist, or a solution without its system."""
+        """Raise unless `system` is an assembled scene that has the beam."""
         layout = known_naming(known_scene(system)).layout
         if self.beam is not None:
             layout.owner(self.beam)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """T (eq. 9) or U of every instant."""
+        """Return the kinetic energy T (eq. 9) or the strain energy U, shape (k,); J."""
         energies = known_scene(system).energies
         if self.kinetic:
             return energies.kinetic(states.v, self.beam)
         return energies.strain(states.q, self.beam)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return T_v and T_b of the kinetic, or U_q and U_b of the strain energy."""
+        """Return T_v and T_b of the kinetic energy, or U_q and U_b of the strain energy."""
         energies, q, v = known_scene(system).energies, states.q, states.v
         if self.kinetic:
             rows = Columns(slice(None), energies.momenta(v, self.beam))
@@ -202,15 +206,15 @@ class GravitationalEnergy(Leaf):
     """Potential energy of the weight of a scene."""
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse a system that is no scene, or a solution without its system."""
+        """Raise InvalidInputError unless `system` is an assembled scene."""
         known_scene(system)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return -Q_g . q of every instant, shape (k,), Q_g the force of gravity on q."""
+        """Return -Q_g . q at the states, shape (k,), J; Q_g is the force of gravity on q."""
         return known_scene(system).energies.gravity(states.q)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return -Q_g, the same at every instant, and -Q_gb . q."""
+        """Return the partials -Q_g in q, the same at every time, and -Q_gb . q in b."""
         scene = known_scene(system)
         weight = Columns(slice(None), scene.energies.gravity(np.eye(system.n_q))[None])
         return LeafGradient(q=weight, b=scene.energies.gravity_b(states.q))
@@ -219,26 +223,26 @@ class GravitationalEnergy(Leaf):
 @final
 @dataclass(frozen=True)
 class Time(Leaf):
-    """The time since the start; s."""
+    """The time since the start of the run as an observable; s."""
 
     names_time: ClassVar[bool] = True
 
     def check_leaf(self, system: Named) -> None:
-        """Every system has a time."""
+        """Accept every system, since every system has a time."""
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Return the times of the states, shape (n_t,); s."""
         return states.t
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Time depends on nothing."""
+        """Return no partials: time depends neither on the state nor on the design."""
         return LeafGradient()
 
 
 @final
 @dataclass(frozen=True)
 class Design(Leaf):
-    """Value of a design variable."""
+    """Value of a design variable as an observable, constant over time."""
 
     name: str
 
@@ -246,28 +250,28 @@ class Design(Leaf):
         require_text("design_value, name", self.name)
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse a design variable that the system does not have."""
+        """Raise UnknownNameError unless the system has the design variable."""
         known = known_system(self.name, system).design_names
         if self.name not in known:
             raise UnknownNameError("design variable", self.name, known)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return b_i at every instant."""
+        """Return the value b_i of the design variable at every time point, shape (k,)."""
         mechanical = known_system(self.name, system)
         return np.full(len(states.t), mechanical.b[mechanical.design_names.index(self.name)])
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """One for the variable itself."""
+        """Return the partial one in the column of this design variable."""
         b = np.zeros((len(states.t), system.n_b))
         b[:, system.design_names.index(self.name)] = 1.0
         return LeafGradient(b=b)
 
 
-# -- drives and loads --------------------------------------------------------------------------
+# -- drivers and loads -------------------------------------------------------------------------
 
 
 def driver_torque(joint: str) -> Observable:
-    """Return the torque of a `RotationDriver` on what it turns, in the sense of its angle; N m.
+    """Return the torque of a `RotationDriver` on the body that it drives; N m.
 
     It is work conjugate to the angle: its product with the rate of the angle is `joint_power`.
     """
@@ -275,12 +279,12 @@ def driver_torque(joint: str) -> Observable:
 
 
 def driver_force(joint: str) -> Observable:
-    """Return the force of a `TranslationDriver` on what it moves, along its direction; N."""
+    """Return the force of a `TranslationDriver` on its point, along its direction; N."""
     return DriveWork(joint, unit_rate=True)
 
 
 def joint_power(joint: str) -> Observable:
-    """Return the power of a driven joint, what it adds to the energy of the scene; W.
+    """Return the power that a driven joint adds to the scene; W.
 
     ``Integral(joint_power("motor"))`` is its work; J.
     """
@@ -288,9 +292,9 @@ def joint_power(joint: str) -> Observable:
 
 
 def load_power(load: str) -> Observable:
-    """Return the power of a load, what it adds to the energy of the scene; W.
+    """Return the power that a load adds to the scene; W.
 
-    That of a spring is what it gives back, and that of a damper is negative.
+    A spring that relaxes has positive power, a damper negative power.
     """
     return LoadQuantity(load)
 
@@ -298,7 +302,7 @@ def load_power(load: str) -> Observable:
 @final
 @dataclass(frozen=True)
 class LoadQuantity(Leaf):
-    """Power of a load, or with an axis the torque or force of a controller on it."""
+    """Power of a load or, with an axis, the torque or force of a controller on that axis."""
 
     load: str
     axis: int | None = None
@@ -312,11 +316,11 @@ class LoadQuantity(Leaf):
         self._function(system)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return F . V, or the effort, at the times, shape (n_t,)."""
+        """Return the power F . V, or the torque or force, at the states, shape (k,)."""
         return self._function(system).value(states.t, states.q, states.v)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Differentiate with respect to q, v and b."""
+        """Return the partials of the power, torque or force in q, v and b."""
         q, v, b = self._function(system).partials(states.t, states.q, states.v)
         return LeafGradient(q=Columns(slice(None), q), v=Columns(slice(None), v), b=b)
 
@@ -330,7 +334,7 @@ class LoadQuantity(Leaf):
 @final
 @dataclass(frozen=True)
 class DriveWork(Leaf):
-    """Power of a driven joint, at the rate of its law or at a rate of one."""
+    """Power of a driven joint: at the rate of its law, or at unit rate (then torque or force)."""
 
     joint: str
     unit_rate: bool
@@ -339,16 +343,16 @@ class DriveWork(Leaf):
         require_text("joint of an observable", self.joint)
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse a joint that does not exist or is not driven."""
+        """Raise unless the scene has the joint and it is driven."""
         known_scene(system).works.of_joint(self.joint, self.unit_rate)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return lam . Phi_t."""
+        """Return lam . Phi_t, or its value per unit rate of the law, at the states, shape (k,)."""
         work = known_scene(system).works.of_joint(self.joint, self.unit_rate)
         return work.value(states.t, states.q, states.lam)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Differentiate with respect to q, the joint's multipliers and b."""
+        """Return the partials of the power, torque or force in q, lam and b."""
         work = known_scene(system).works.of_joint(self.joint, self.unit_rate)
         q, lam, b = work.partials(states.t, states.q, states.lam)
         columns = np.arange(work.rows.start, work.rows.stop)
@@ -366,7 +370,7 @@ def state(controller: str, name: str) -> Observable:
 def effort(controller: str, axis: int = 0) -> Observable:
     """Return the torque, N m, or the force, N, of a controller on one of its axes.
 
-    Axes are counted from 0 on; a `PID` or a `DCMotor` has one.
+    Axes are counted from 0; a `PID` or a `DCMotor` has one.
     """
     require_kind("effort, axis", axis, (int, np.integer), "Counted from 0 on.")
     return LoadQuantity(controller, axis)
@@ -381,7 +385,7 @@ def rope_tension(rope: str, span: int = 0) -> Observable:
 @final
 @dataclass(frozen=True)
 class ControllerState(Leaf):
-    """A state of a controller."""
+    """A state of a controller, such as the current of a motor, as an observable."""
 
     controller: str
     name: str
@@ -391,17 +395,17 @@ class ControllerState(Leaf):
         require_text("state, name", self.name)
 
     def check_leaf(self, system: Named) -> None:
-        """Raise UnknownNameError for a controller or a state that does not exist."""
+        """Raise UnknownNameError unless the scene has the controller and its state."""
         its = known_naming(system).layout.controller(self.controller)
         if self.name not in its.states:
             raise UnknownNameError(f"state of {self.controller!r}", self.name, its.states)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the state at the times, shape (n_t,)."""
+        """Return the state of the controller at the times, shape (k,); its own unit."""
         return states.v[:, self._column(system)]
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return one in the column of the velocity that is the state."""
+        """Return one in the column of the velocity that represents the state."""
         return LeafGradient(v=Columns(np.array([self._column(system)]), np.ones((1, 1))))
 
     def _column(self, system: Named) -> int:

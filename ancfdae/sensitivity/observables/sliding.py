@@ -1,4 +1,4 @@
-"""Observables of sliding joints: how far, and how fast, the guide has slid along its beam."""
+"""Observables of sliding joints: the distance that the guide has slid along its beam, its rate."""
 
 from dataclasses import dataclass
 from typing import final
@@ -22,20 +22,20 @@ from ancfdae.sensitivity.observables.observable import (
 def slide_distance(joint: str) -> Observable:
     """Return how far the guide of a `SlidingJoint` has slid along its beam since t = 0; m.
 
-    Counted along the beam in the reference configuration.
+    The distance is measured along the beam in the reference configuration.
     """
     return _Slide(joint, rate=False)
 
 
 def slide_speed(joint: str) -> Observable:
-    """Return the rate of `slide_distance`; m/s."""
+    """Return the rate at which the guide of a `SlidingJoint` slides along its beam; m/s."""
     return _Slide(joint, rate=True)
 
 
 @final
 @dataclass(frozen=True)
 class _Slide(Leaf):
-    """The coordinate of a sliding joint, or its rate."""
+    """The distance that a sliding joint has moved along its beam, or its rate."""
 
     joint: str
     rate: bool
@@ -48,11 +48,11 @@ class _Slide(Leaf):
         self._column(system)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the coordinate or its rate at the times, shape (n_t,)."""
+        """Return the distance, m, or speed, m/s, of the guide at the states, shape (k,)."""
         return (states.v if self.rate else states.q)[:, self._column(system)]
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return one in the column of the coordinate, or of its rate."""
+        """Return the partial one in the column of the slide coordinate, or of its rate."""
         one = Columns(np.array([self._column(system)]), np.ones((1, 1)))
         return LeafGradient(v=one) if self.rate else LeafGradient(q=one)
 

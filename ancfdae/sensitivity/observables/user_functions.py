@@ -1,4 +1,4 @@
-"""Functions that a user brings: of observables, or of the bare states."""
+"""Observables from functions of a user: of other observables, or of states and design."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.checks import require_function, require_kind
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import OperationList, list_values
+from ancfdae.kernels import OperationList
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.complex_step import FAILURES, require_derivative
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
@@ -34,17 +34,17 @@ def apply(function: Callable[..., Array], *observables: Observable) -> Observabl
     Parameters
     ----------
     function : callable
-        Takes one array (k,) per observable and returns an array (k,), element by element and
-        with operations that accept complex numbers: its derivative is taken by a complex step.
+        Takes one array (k,) per observable and returns an array (k,), element by element and with
+        operations that accept complex numbers: its derivative is taken by a complex step.
     *observables : Observable
         At least one.
 
     Raises
     ------
     InvalidInputError
-        If the function mixes instants, fails on complex numbers, or its complex step disagrees
-        with finite differences. It is tried on a few numbers now and on a few instants of every
-        run that is differentiated.
+        If the function mixes time points, fails on complex numbers, or its complex step disagrees
+        with finite differences. It is checked on a few numbers now and at a few time points of
+        every run that is differentiated.
     """
     require_function("apply, function", function)
     name = getattr(function, "__name__", repr(function))
@@ -65,10 +65,10 @@ def custom(function: Callable[..., Array], name: str = "custom") -> Observable:
     """Return a function H(t, q, v, lam, b) of your own, for any mechanical system.
 
     It takes t (k,), q (k, n_q), v (k, n_q), lam (k, n_lam) and b (n_b,) and returns an array (k,),
-    instant by instant and with operations that accept complex numbers. Its partials follow from the
-    operations of NumPy in it, at compiled speed, if it runs on symbols as the formulas of a
-    `FormulaSystem` do. Else they are complex steps, which take one evaluation per coordinate,
-    velocity, multiplier and design variable. Messages use the name.
+    each time point by itself and with operations that accept complex numbers. Its partials follow
+    from its NumPy operations, at compiled speed, if it runs on symbols as the formulas of a
+    `FormulaSystem` do. Otherwise they are complex steps, which take one evaluation per coordinate,
+    velocity, multiplier and design variable. Error messages use `name`.
     """
     require_function("custom, function", function)
     require_kind("custom, name", name, (str,), "Messages name the function by it.")
@@ -78,7 +78,7 @@ def custom(function: Callable[..., Array], name: str = "custom") -> Observable:
 @final
 @dataclass(frozen=True)
 class Custom(Leaf):
-    """A user's function of time, states and design variables."""
+    """A user's function H(t, q, v, lam, b) of time, states and design variables."""
 
     names_time: ClassVar[bool] = True
 
@@ -86,7 +86,7 @@ class Custom(Leaf):
     name: str
 
     def check_leaf(self, system: Named) -> None:
-        """Try the function around the start, and refuse it as `apply` does."""
+        """Raise InvalidInputError, as `apply` does, if the function fails near the start."""
         system = known_system(self.name, system)
         q, v = system.start()
         # Near the start, but not at it, where velocities and multipliers may be zero.
@@ -104,7 +104,7 @@ class Custom(Leaf):
             self._require_derivative(states, b)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the values H of the function, shape (n_t,)."""
+        """Return the values H of the user's function, shape (n_t,)."""
         system = known_system(self.name, system)
         if any(np.iscomplexobj(x) for x in (states.q, states.v, states.lam, system.b)):
             traced = self._traced(system)
@@ -141,7 +141,7 @@ class Custom(Leaf):
         return _traced(self.function, system.n_q, system.n_lam, system.n_b)
 
     def _require_derivative(self, states: States, b: Array) -> None:
-        """Refuse a function whose complex steps are not its derivatives."""
+        """Raise InvalidInputError if complex steps of the function are not its derivatives."""
         x = (states.q, states.v, states.lam, b)
         # A direction without symmetry, of the size of the arguments.
         dx = [
@@ -151,34 +151,34 @@ class Custom(Leaf):
         require_derivative(self.name, lambda *moved: self.function(states.t, *moved), x, dx)
 
 
-# Largest difference between values of a list and of the function, relative to the largest value.
+# Largest difference between values of an operation list and its function, relative to the largest.
 _SAME = 1e-9
 
 
 def _agree(listed: Array, called: Array) -> bool:
-    """Whether a list has the values that its function has, finite ones."""
+    """Return whether an operation list has the values of its function, all of them finite."""
     return bool(np.max(np.abs(listed - called)) <= _SAME * np.max(np.abs(called)))
 
 
 @final
 @dataclass(frozen=True)
 class _Formula:
-    """A user's function as a list of operations: its value and its partials.
+    """A user's function as a list of operations, with its value and its partials.
 
-    `columns` are those that it depends on, of t, q, v, lam and b.
+    `columns` are the indices of the entries of t, q, v, lam and b on which it depends.
     """
 
     operations: OperationList
     columns: tuple[Array, ...]
 
     def values(self, states: States, b: Array) -> Array:
-        """Return the value and the partials in the columns, shape (n_t, 1 + ...)."""
+        """Return the value and its partials in the inputs `columns`, shape (k, 1 + n_columns)."""
         parts = (states.t[:, None], states.q, states.v, states.lam, b)
         used = [x[..., at] for x, at in zip(parts, self.columns, strict=True)]
-        return list_values(self.operations, *used)
+        return self.operations.values(*used)
 
     def gradient(self, partials: Array, n_b: int) -> LeafGradient:
-        """Return partials in the columns, (n_t, ...), as partials in states and design."""
+        """Return partials in the inputs `columns`, (k, ...), sorted by states and design."""
         begin, parts = len(self.columns[0]), list[Columns | None]()
         for at in self.columns[1:]:
             rows, begin = partials[:, begin : begin + len(at)], begin + len(at)
@@ -190,7 +190,7 @@ class _Formula:
 
 @lru_cache(maxsize=32)
 def _traced(function: Callable[..., Array], n_q: int, n_lam: int, n_b: int) -> _Formula | None:
-    """Return the function as a list of operations; None if it needs numbers."""
+    """Return the function as a list of operations; None if it cannot run on symbols."""
     ends = np.cumsum([1, n_q, n_q, n_lam, n_b])
     parts = np.split(np.arange(ends[-1]), ends[:-1])
     operations = Operations(int(ends[-1]))

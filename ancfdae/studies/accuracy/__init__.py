@@ -1,1 +1,1 @@
-"""Accuracy: sequences of runs, observed orders, extrapolation and estimated error bars."""
+"""Accuracy studies: sequences of runs, observed orders, extrapolation and error bars."""

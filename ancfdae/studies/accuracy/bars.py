@@ -1,10 +1,10 @@
-"""Error bars from runs of one method that get finer and finer.
+"""Error bars from a sequence of runs of one method with ever finer steps.
 
-d_k = x_k - x_(k-1) are the differences of the runs, in norms of a whole vector (a gradient), and
-r_k the ratios of their steps. Where steps do not resolve the waves that an objective sees, an error
-is of the size of the differences with no order to it: the phase of a wave is as good as random in
-every run. Where they do, it is d/(r^p - 1) (docs/theory/13-errors.md). The factors were set on the
-scenes of calibration (`validation/tolerance/scenes.py`).
+d_k = x_k - x_(k-1) are the differences of successive runs, in norms of a whole vector (a gradient),
+and r_k the ratios of their steps. Where steps do not resolve the waves that an objective depends
+on, the error is about as large as the differences and has no order: the phase of a wave is as good
+as random in every run. Where steps resolve them, it is d/(r^p - 1) (docs/theory/13-errors.md). The
+factors below were set on the scenes of calibration (`validation/tolerance/scenes.py`).
 """
 
 from __future__ import annotations
@@ -18,50 +18,50 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ancfdae.numerics.arrays import Array
 
-# Error over the last difference, or over a quarter of the one before if that is more, where waves
-# are not resolved; and where there is one difference only.
+# Error bar over the last difference, or over a quarter of the one before if that is more, where
+# waves are not resolved; and where there is one difference only.
 _UNRESOLVED, _ALONE = 3.0, 4.1
-# Error over d/(r^p - 1) of a number extrapolated by it; where differences fall with the order, d is
-# also what extrapolating changes from run to run.
+# Error bar over d/(r^p - 1) of an extrapolated number; where differences fall with the order, d is
+# the change of the extrapolated number from run to run if that is smaller.
 _EXTRAPOLATED = 1.5
-# The same of a method of high order, not extrapolated, which falls with less than its order at
-# first, and of one seen to fall with it.
+# Error bar over d/(r^p - 1) of a method of high order, not extrapolated, whose error falls with
+# less than its order at first, and of one observed to fall with its order.
 HIGH_GRANTED, _HIGH_SEEN = 7.75, 2.5
-# Share of that which is left at least of a number whose order is seen: more than the first term of
-# an expansion is not known.
+# Least factor by which an observed order reduces a bar: only the first term of the error expansion
+# is known.
 _TRUSTED = 0.1
-# How far the order seen may be from that of the method, for the differences to be its error.
+# Largest difference of the observed order from the order of the method.
 _NEAR = 0.6
-# Part of a difference that another may be off, beside what the order makes of it, to be close; and
-# errors over what extrapolating changes from run to run.
+# Largest relative deviation of a difference from its prediction by the order that counts as close;
+# and error bar over the change of an extrapolated number from run to run.
 _CLOSE, _CHANGED = 0.2, 2.0
-# Error over the difference of runs whose tolerance is tightened.
+# Error bar over the difference of two runs of which the second has a tighter tolerance.
 _TIGHTENED = 1.5
-# Least size of a component, over the root mean square of all; where phases are random, so is each.
+# Least bar of a component over the root mean square of all; one where phases are random.
 _SHARE, _EVEN = 0.5, 1.0
-# Share of the instants, to either side, of which the largest error counts.
+# A bar over time is the largest within 1/_NEIGHBOURS of the time points to either side.
 _NEIGHBOURS = 16
 
 
-#: Where the estimated errors of the derivatives of HHT-I3 fall at this order or more, all measured
-#: bars held. It is 1.996 to 2.03 where steps resolve all waves, 1.9 at most where bars failed
-#: (docs/reports/error-bars).
+#: Least order at which estimated errors of derivatives of HHT-I3 must fall for waves to count as
+#: resolved; all measured bars then held. It is 1.996 to 2.03 where steps resolve all waves, 1.9 at
+#: most where bars failed (docs/reports/error-bars).
 RESOLVED_ORDER = 1.95
-#: Estimated errors of derivatives above this have no order: the phase of a wave is off by as much,
-#: in rad, and differences of runs are small by chance.
+#: Estimated relative errors of derivatives above this have no order: the phase of a wave is wrong
+#: by as many rad, and differences of runs are small by chance.
 ORDERLESS = 0.5
 
 
 # Roache's factors of safety of the grid convergence index: order assumed, and observed in the runs.
 _ASSUMED, _OBSERVED = 3.0, 1.25
-# Observed orders that bars of single numbers believe: outside the next one is taken.
+# Observed orders of single numbers are limited to this range.
 _LEAST_ORDER, _MOST_ORDER = 0.5, 2.0
-#: Elements are of second order or better (docs/reports/elements).
+#: Order of the mesh error: elements are of second order or better (docs/reports/elements).
 MESH_ORDER = 2
 
 
 class Estimate(NamedTuple):
-    """A vector and bars of its components."""
+    """A vector x and error bars of its components, of the same shape."""
 
     x: Array
     bar: Array
@@ -77,23 +77,24 @@ def remainder(difference: Array, ratio: Array | float, order: Array | float) -> 
 
 
 def observed_order(before: Array | float, after: Array | float, ratio: Array | float) -> Array:
-    """Return the order at which errors or differences fell while steps became shorter by a ratio.
+    """Return the order at which errors or differences fell while steps became shorter by `ratio`.
 
-    It has their shape. It is infinite where the error vanished, nan where both did.
+    It has the shape of `before`. It is infinite where the error vanished, NaN where both did.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.log2(np.divide(before, after)) / np.log2(ratio))
 
 
 def ratio(x: float, size: float) -> float:
-    """Return an error relative to a size; infinite relative to nothing."""
+    """Return x / size; infinite for a size of zero unless x is zero, too."""
     return x / size if size else (np.inf if x else 0.0)
 
 
 def convergence_bars(differences: Array, order: int | None) -> tuple[Array, Array]:
-    """Return bars of the finest of two or three runs, each number for itself, and observed orders.
+    """Return error bars of the finest of two or three runs, by component, and observed orders.
 
-    Rows are differences of successive runs at halved steps, or on halved meshes.
+    Rows of `differences` are differences of successive runs at halved steps, or on halved meshes.
+    If `order` is None, the bar is the last difference.
     """
     size = np.abs(differences)
     unknown = np.full(size.shape[1], np.nan)
@@ -116,10 +117,10 @@ def refined(
     along: bool = False,
     improved: bool = True,
 ) -> Estimate:
-    """Judge runs of ever more steps, two at least; `resolved` says that waves are.
+    """Return the estimate of a vector from two or more runs with ever more steps.
 
-    With `along` a vector holds values at increasing instants. Where numbers are `improved`, bars
-    are those of extrapolated ones, if the order is seen.
+    `resolved` says that the steps resolve all waves, `along` that the vector holds values at
+    increasing times. If `improved`, an observed order reduces the bars of the extrapolated vector.
     """
     d, N = np.diff(runs, axis=0), np.array(steps, dtype=float)
     if not resolved:
@@ -140,7 +141,7 @@ def refined(
 
 
 def closely(runs: Sequence[Array], steps: Sequence[int], order: int) -> bool:
-    """Return whether the differences of three runs are, as vectors, what the order makes them."""
+    """Return whether the differences of three runs are in the ratio of the order, as vectors."""
     first, second = np.diff(runs, axis=0)
     powers = np.array(steps, dtype=float) ** -order
     foreseen = second * (powers[0] - powers[1]) / (powers[1] - powers[2])
@@ -148,9 +149,9 @@ def closely(runs: Sequence[Array], steps: Sequence[int], order: int) -> bool:
 
 
 def improved(runs: Sequence[Array], steps: Sequence[int], order: int) -> Estimate:
-    """Return the extrapolated number of three runs, and a bar of what extrapolating changes.
+    """Return the extrapolated vector of three runs, with bars from the change of extrapolation.
 
-    What is left of waves changes it as much as they change a run.
+    Unresolved waves change the extrapolated vector as much as they change a run.
     """
     ratios = np.array(steps[1:]) / np.array(steps[:-1])
     errors = remainder(np.diff(runs, axis=0), ratios[:, None], order)
@@ -160,10 +161,10 @@ def improved(runs: Sequence[Array], steps: Sequence[int], order: int) -> Estimat
 
 
 def unresolved(differences: Array, along: bool = False) -> Array:
-    """Return bars of a vector from the rows of differences of its runs, of which no order is known.
+    """Return error bars of a vector, without an order, from the rows of differences of its runs.
 
-    A difference may be small by chance: that of a component beside those of the others, all of them
-    beside what the order makes of the one before, where steps were halved.
+    A difference may be small by chance: a component is therefore compared with the other
+    components, and the last difference with a quarter of the one before, for halved steps.
     """
     last = spread(differences[-1], along, _EVEN)
     if len(differences) == 1:
@@ -180,7 +181,10 @@ def tightened(before: Array, after: Array, along: bool = False) -> Array:
 
 
 def falls(sizes: Array, steps: Sequence[int] | Array, order: int, faster: bool = False) -> bool:
-    """Whether two differences of runs at three numbers of steps fall with the order, or faster."""
+    """Return whether two differences of runs at three numbers of steps fall with the order.
+
+    If `faster`, they may also fall faster.
+    """
     if not np.all(sizes > 0):
         return False
     powers = np.array(steps, dtype=float)[:, None] ** -(order + np.array([-_NEAR, _NEAR]))
@@ -189,10 +193,10 @@ def falls(sizes: Array, steps: Sequence[int] | Array, order: int, faster: bool =
 
 
 def spread(d: Array, along: bool = False, least: float = _SHARE) -> Array:
-    """Return sizes of components, none of which is small by chance.
+    """Return magnitudes of components of d, raised so that none is small by chance.
 
-    Errors over time are waves that grow or die out: those of values at increasing instants have the
-    size of the largest nearby.
+    With `along` d holds values at increasing times: its errors are waves that grow or die out, and
+    each magnitude is the largest one nearby.
     """
     share = least * float(np.linalg.norm(d)) / math.sqrt(d.size)
     if along:

@@ -1,32 +1,37 @@
 """Discretisation error of an objective and its gradient, from runs that are refined.
 
-For HHT-I3, of order two, runs at h, h/2 (and h/4) differ by d_1 = x(h/2) - x(h) and
-d_2 = x(h/4) - x(h/2). With the order p observed in d_1/d_2 = 2^p, or p = 2 assumed, the
-finest run errs by d/(2^p - 1), and adding that at p = 2 is Richardson's extrapolation. The bar
-multiplies it by the safety factor of Roache's grid convergence index (J. Fluids Eng. 116, 1994): 3
-where the order is assumed, 1.25 where it is observed. An observed order is limited to 1/2 to 2,
-so that runs that do not converge yet get wide bars, and d_2 is taken as d_1/4 at least.
+For HHT-I3, of order two, runs at h, h/2 (and h/4) differ by d_1 = x(h/2) - x(h) and d_2 = x(h/4) -
+x(h/2). With the order p observed in d_1/d_2 = 2^p, or p = 2 assumed, the finest run errs by d/(2^p
+- 1), and adding that at p = 2 is Richardson's extrapolation. The bar multiplies it by the safety
+factor of Roache's grid convergence index (J. Fluids Eng. 116, 1994): 3 where the order is assumed,
+1.25 where it is observed. An observed order is limited to 1/2 to 2, so that runs that do not
+converge yet get wide bars, and d_2 is taken as at least d_1/4.
 
-Where runs say that their steps do not resolve the waves of the derivatives, differences have no
+If the runs show that their steps do not resolve the waves of the derivatives, differences have no
 order, and the bar is a multiple of them (`bars.unresolved`).
 
 SUNDIALS and SciPy choose their steps themselves. The refined run has a tenth of the tolerance, the
 bar is the whole difference, and no value is extrapolated.
 
-Meshes are treated like steps, at the longest step: with two or three, each of twice the elements,
-the error of the finest follows from their differences, and the order is observed or taken as 2.
+With events steps are halved in all phases, and runs must meet the same events. Whether waves are
+resolved is not known then. Differences count as ordered only if three runs show the order.
 
-**From one run** of HHT-I3 and one pass back (`estimate_adjoint_error`). The smooth motion leaves
-defects in every step of the recurrence (`integrators.hht.equations.Defects`); the discrete adjoint
-gives the change of the objective that each of them causes. The error of the objective's own
-quadrature is added; from its value on every second instant it is I - Q_h = -(Q_2h - Q_h)/3.
+Meshes are treated like steps, at the longest step: with two or three meshes, each of twice the
+elements, the error of the finest follows from their differences, and the order is observed or taken
+as 2.
+
+**From one run** of HHT-I3 and one backward pass (`estimate_adjoint_error`). The smooth motion
+leaves residuals (defects) in every step of the recurrence (`integrators.hht.equations.Defects`);
+the discrete adjoint gives the change of the objective that each of them causes. The error of the
+objective's own quadrature is added; from the value on every second time point it is I - Q_h =
+-(Q_2h - Q_h)/3.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias, final
+from typing import TYPE_CHECKING, Any, TypeAlias, cast, final
 
 import numpy as np
 
@@ -38,6 +43,8 @@ from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.integrators.integrator import DefectIntegrator, Integrator, Seeds
+from ancfdae.integrators.step_control import FixedSteps
+from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.modes.periods import advice
@@ -52,6 +59,7 @@ from ancfdae.studies.accuracy.bars import (
     ORDERLESS,
     RESOLVED_ORDER,
     convergence_bars,
+    falls,
     observed_order,
     remainder,
     unresolved,
@@ -59,7 +67,11 @@ from ancfdae.studies.accuracy.bars import (
 from ancfdae.studies.calls import as_system, differentiable, gradient, require_objectives
 from ancfdae.studies.meshes import with_mesh
 
-# Fewest steps of a run whose error can be estimated.
+if TYPE_CHECKING:
+    from ancfdae.equations.event_solution import EventSolution
+    from ancfdae.events.kinds import Event, Mode
+
+# Least number of steps of a run whose error can be estimated.
 _LEAST_STEPS = 4
 _Design: TypeAlias = Sequence[str | DesignVariable] | None
 _Mesh: TypeAlias = tuple[Scene | MechanicalSystem, _Design]
@@ -80,23 +92,23 @@ class ErrorBars(PrintedTable):
         Gradient of the finest run; unit of the objective over that of the variable.
     parts : dict of str to array, shape (1 + n_b,)
         Estimated bounds of the errors of value and gradient by ``"step"`` and, where meshes were
-        compared, by ``"mesh"``; not proofs: docs/reports/error-bars says how often they hold.
+        compared, by ``"mesh"``; not proven: docs/reports/error-bars says how often they hold.
     extrapolated_value : float
-        Better value by one order, where runs converge; unit of the objective.
+        Value with the estimated error removed, better by one order if runs converge; unit of the
+        objective.
     extrapolated_gradient : array, shape (n_b,)
-        Better values by one order, where runs converge; those of the finest run if the
-        integrator has no fixed order.
+        The same for the gradient; equal to `gradient` if the integrator has no fixed order.
     orders : array, shape (1 + n_b,)
-        Observed orders of the value and the gradient; nan where they cannot be observed.
+        Observed orders of the value and the gradient; NaN where they cannot be observed.
     mesh_orders : array, shape (1 + n_b,)
         Observed orders of the value and of the derivatives in the element length; dimensionless.
     runs : tuple of Gradient
-        From the coarsest to the finest.
+        All runs, from the coarsest to the finest.
     resolved : bool or None
         Whether the steps resolve the waves of the derivatives: whether their estimated errors
-        (`Solution.estimated_errors`) fall at the order of the integrator from the last run but
-        one. Where they do not, bars are three to four times what runs differ by. None without such
-        an estimate, which only `DirectDifferentiation` with `HHT` provides.
+        (`Solution.estimated_errors`) fall at the order of the integrator from the last run but one.
+        If not, bars are three to four times the differences of the runs. None without such an
+        estimate, which only `DirectDifferentiation` with `HHT` provides.
     """
 
     names: tuple[str, ...]
@@ -112,7 +124,7 @@ class ErrorBars(PrintedTable):
 
     @property
     def value_bar(self) -> float:
-        """Estimated bound of the error of the value: the sum of its parts."""
+        """Estimated bound of the error of the value, the sum of its parts; unit of the value."""
         return float(sum(part[0] for part in self.parts.values()))
 
     @property
@@ -122,7 +134,7 @@ class ErrorBars(PrintedTable):
         return bar
 
     def to_dataframe(self) -> Any:
-        """Return a table of pandas: the objective and its derivatives, with values and bars."""
+        """Return a pandas table of the objective and its derivatives, with values and bars."""
         table: dict[str, object] = {
             "value": [self.value, *self.gradient],
             "extrapolated": [self.extrapolated_value, *self.extrapolated_gradient],
@@ -166,21 +178,25 @@ def error_bars(
     method: GradientMethod | None = None,
     levels: int = 2,
     meshes: int = 1,
+    events: Sequence[Event] | None = None,
+    modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
 ) -> ErrorBars:
     """Estimate the discretisation error of an objective and its gradient.
 
     Parameters
     ----------
-    model, objective, t_end, integrator, design, progress
-        As in `gradient`; the coarsest run has this integrator, and four steps or more.
+    model, objective, t_end, integrator, design, events, modes, progress
+        As in `gradient`; the coarsest run has this integrator, and at least four steps. With events
+        it has a fixed step, or is `DOP853` or `IDA`, and there is one mesh.
     method : GradientMethod
         As in `gradient`, but `DirectDifferentiation` by default.
     levels : int
-        2, or 3 to see whether the order is reached: with `HHT` 3 or 7 times the first run.
+        Number of runs: 2, or 3 to observe the order, which with `HHT` cost 3 or 7 times the first
+        run.
     meshes : int
-        Of a scene, with 2 or 3: runs with once or twice doubled elements, of the finest of which
-        value, gradient and bars then are.
+        Number of meshes of a scene, with 2 or 3: further runs with once or twice doubled elements;
+        value, gradient and bars then belong to the finest mesh.
     """
     if not any(levels is count for count in (2, 3)):
         raise InvalidInputError(
@@ -190,12 +206,23 @@ def error_bars(
 
     def run(at: _Mesh, settings: Integrator) -> Gradient:
         return gradient(
-            at[0], objective, t_end, settings, design=at[1], method=chosen, progress=progress
+            at[0],
+            objective,
+            t_end,
+            settings,
+            design=at[1],
+            method=chosen,
+            events=events,
+            modes=modes,
+            progress=progress,
         )
 
+    happens = events is not None or modes is not None
+    if happens:
+        _require_halving(integrator, meshes)
     *coarser, finest = _meshes(model, design, meshes)
     settings, runs = integrator, [run(finest, integrator)]
-    steps = runs[0].solution.statistics.steps
+    steps = sum(x.statistics.steps for x in _solutions(runs[0]))
     if steps < _LEAST_STEPS:
         raise InvalidInputError(
             "error_bars",
@@ -204,8 +231,10 @@ def error_bars(
             f"Use a step of {t_end / (2 * _LEAST_STEPS):.3g} or less.",
         )
     for _ in range(levels - 1):
-        settings = settings.refined(runs[-1].solution)
+        settings = _refined(settings, runs[-1])
         runs.append(run(finest, settings))
+    if happens:
+        _require_same_events(runs)
     widths, orders, resolved = _of_steps(runs, finest, integrator.order)
     parts, mesh_orders = {"step": widths}, np.full(len(widths), np.nan)
     if coarser:
@@ -222,14 +251,56 @@ def error_bars(
 def _of_steps(
     runs: Sequence[Gradient], mesh: _Mesh, order: int | None
 ) -> tuple[Array, Array, bool | None]:
-    """Return bars by the step, orders, and whether the steps resolve the waves."""
-    differences, resolved = np.diff(_numbers(runs), axis=0), _resolved(*runs[-2:])
+    """Return error bars from the steps, orders, and whether the steps resolve the waves."""
+    differences, happens = np.diff(_numbers(runs), axis=0), runs[0].event_solution is not None
+    resolved = None if happens else _resolved(*runs[-2:])
     widths, orders = convergence_bars(differences, order)
-    if resolved is False:
+    if resolved is False or (happens and order is not None and not _fall(differences, order)):
         scale = design_sizes(differentiable(*mesh))
         slopes = unresolved(differences[:, 1:] * scale) / scale
         widths = np.append(unresolved(differences[:, :1]), slopes)
     return widths, orders, resolved
+
+
+def _fall(differences: Array, order: int) -> bool:
+    """Whether two differences of values and of each derivative fall with the order."""
+    if len(differences) < 2:
+        return False
+    columns = np.abs(differences).T
+    return all(not np.any(sizes) or falls(sizes, (1, 2, 4), order) for sizes in columns)
+
+
+def _solutions(run: Gradient) -> Sequence[Solution]:
+    """Return the solutions of all phases of a run."""
+    return (run.solution,) if run.event_solution is None else run.event_solution.phases
+
+
+def _refined(settings: Integrator, run: Gradient) -> Integrator:
+    """Return the integrator with half the steps of a run, or a tenth of its tolerance."""
+    if run.event_solution is not None and isinstance(settings, SteppedIntegrator):
+        assert isinstance(settings.steps, FixedSteps)
+        return settings.with_steps(FixedSteps(settings.steps.step / 2))
+    return settings.refined(run.solution)
+
+
+def _require_halving(integrator: Integrator, meshes: int) -> None:
+    """Refuse steps of runs with events that cannot be halved in all phases, and several meshes."""
+    if meshes != 1:
+        raise InvalidInputError(
+            "meshes", "must be 1 with events", meshes, "Leave out meshes to compare steps."
+        )
+    if isinstance(integrator, SteppedIntegrator) and not isinstance(integrator.steps, FixedSteps):
+        rule, repair = "must be fixed with events", "For example HHT(step=...), or IDA(rtol)."
+        raise InvalidInputError("error_bars, steps", rule, repr(integrator), repair)
+
+
+def _require_same_events(runs: Sequence[Gradient]) -> None:
+    """Refuse runs that meet different events, since they are of different motions."""
+    names = [[x.name for x in cast("EventSolution", run.event_solution).events] for run in runs]
+    if any(each != names[-1] for each in names):
+        rule = "must meet the same events in all runs to compare them"
+        got = ", ".join(f"{len(each)} events" for each in names)
+        raise InvalidInputError("error_bars", rule, got, "Take a shorter step.")
 
 
 def _meshes(model: Scene | MechanicalSystem, design: _Design, count: int) -> list[_Mesh]:
@@ -263,9 +334,10 @@ def _resolved(coarse: Gradient, fine: Gradient) -> bool | None:
 @final
 @dataclass(frozen=True)
 class AdjointErrorEstimate:
-    """An objective and the estimate of its discretisation error.
+    """An objective and the estimate of its discretisation error from a single run.
 
-    `error` estimates the exact value minus `value`, with its sign; it is not a bound.
+    `error` estimates the exact value minus `value`, with its sign, in the unit of the objective; it
+    is not a bound.
     """
 
     value: float
@@ -274,7 +346,7 @@ class AdjointErrorEstimate:
 
     @property
     def extrapolated_value(self) -> float:
-        """The value corrected by its estimated error."""
+        """The value corrected by its estimated error; unit of the objective."""
         return self.value + self.error
 
     def __repr__(self) -> str:
@@ -294,15 +366,16 @@ def estimate_adjoint_error(
 ) -> AdjointErrorEstimate:
     """Estimate the discretisation error of an objective from a single run.
 
-    Costs about 1.4 runs, where `error_bars` costs three; it gives no error of the gradient, and
-    is unreliable where the step does not resolve the motion.
+    Costs about 1.4 runs, where `error_bars` costs three; it gives no error of the gradient, and is
+    unreliable where the step does not resolve the motion.
 
     Parameters
     ----------
     model, objective, t_end, progress
         As in `gradient`.
     integrator : Integrator
-        One that knows the defects of its steps, such as `HHT`; four steps or more.
+        An integrator that computes the defects of its steps, such as `HHT`, with at least four
+        steps.
     design : sequence of str or DesignVariable, optional
         Needed only where the objective contains `design_value`.
     """

@@ -1,17 +1,17 @@
-"""Fast features that steps may pass over without a trace: pulses in time, transitions in the state.
+"""Fast features that steps may pass over unnoticed: pulses in time, transitions in the state.
 
-**Pulses** of laws and of objectives. No run can tell: a method that controls its error does not see
-a pulse of 2 ms between two stages of a step of 50 ms, and two runs that both miss it agree. So
-everything that depends on time by itself is sampled finely before any run: laws of loads and
-drives, forces and constraints of a system of one's own, and observables with the states held.
+**Pulses** of laws and of objectives. No run shows them: a method that controls its error does not
+notice a pulse of 2 ms between two stages of a step of 50 ms, and two runs that both miss it agree.
+So all functions that depend on time explicitly are sampled finely before any run: laws of loads and
+drivers, forces and constraints of a user's own system, and observables at fixed states.
 
-**Transitions** of forces in the state, such as the one of dry friction. Within a transition forces
-change much while the state changes little. A derivative of a step has the slopes of forces at its
-instants: where these lie on either side of a transition it knows nothing of the jump between them,
-whatever the motion does, and runs agree on a wrong derivative. So forces are sampled along the
-straight path between the states of the run, about the steps in which accelerations change most
-suddenly, and ever more closely where the samples jump. The width of a transition is its jump over
-its largest slope.
+**Transitions** of forces in the state, such as that of dry friction. Within a transition forces
+change much while the state changes little. A design derivative of a step contains the slopes of
+forces at its time points: if these lie on both sides of a transition it contains nothing of the
+jump between them, whatever the motion does, and runs agree on a wrong derivative. So forces are
+sampled along the straight path between the states of the run, about the steps in which
+accelerations change most suddenly, and ever more closely where the samples jump. The width of a
+transition is its jump over its largest slope.
 """
 
 from __future__ import annotations
@@ -30,18 +30,21 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.pulses import SAMPLES, Pulses, find_pulses
 from ancfdae.sensitivity.observables.observable import Observable, States
 
-# Intervals of the samples of a system that is called once an instant; laws of scenes take arrays.
+# Number of sampling intervals of a system that is called once per time; laws of scenes take arrays.
 _CALLS = 2**10
-# Steps of the coarsest run of HHT-I3.
+# Number of steps of the coarsest run of HHT-I3.
 _LEAST = 64
-# Stops of a run.
+# Most stops of a run.
 _MOST = 200
 
 
 def features(
     problem: InitialValueProblem, observables: Sequence[Observable], t_end: float
 ) -> Pulses:
-    """Sample laws and observables; one without features asks for no steps and has no stops."""
+    """Return the pulses of laws and observables of a problem, from fine samples up to `t_end`, s.
+
+    Without pulses the result asks for no steps and has no stops.
+    """
     system = problem.system
     count = SAMPLES if isinstance(system, PlannedSystem) else _CALLS
     t = np.linspace(0.0, t_end, count + 1)
@@ -55,7 +58,7 @@ def features(
 
 
 class _Untold:
-    """A time that nobody may use: it notes that it was asked for anything, and raises TypeError."""
+    """A placeholder for the time that raises TypeError when it is used, and records that."""
 
     def __init__(self) -> None:
         self.asked = False
@@ -65,14 +68,14 @@ class _Untold:
         raise TypeError
 
     def __getattr__(self, name: str) -> NoReturn:
-        # Arrays look for their own protocols in whatever they hold.
+        # NumPy looks for its own protocols in the entries of arrays, which does not count as use.
         if not name.startswith("__array"):
             self.asked = True
         raise AttributeError(name)
 
     @property  # type: ignore[misc]
     def __class__(self) -> type:
-        """The class, of which a formula asks by isinstance."""
+        """The class; a formula that uses isinstance asks for it."""
         self.asked = True
         return _Untold
 
@@ -84,18 +87,21 @@ class _Untold:
 
 
 def _timeless(system: MechanicalSystem) -> bool:
-    """Return whether nothing in a system of equations looks at the time."""
+    """Return whether no formula of a user's system uses the time."""
     time = _Untold()
     try:
         values = system.over_time(np.array([time], dtype=object))
     except Exception:  # noqa: BLE001 A formula may raise anything where it meets that time.
         return False
-    # A formula that catches what is raised has asked.
+    # A formula that catches the exception has used the time, too.
     return np.asarray(values).dtype != object and not time.asked
 
 
 def _held(problem: InitialValueProblem, observables: Sequence[Observable], t: Array) -> Array:
-    """Return values of observables over time at the start with the sizes of a motion added."""
+    """Return values of observables over time at a fixed state, shape (n_t, n).
+
+    The state is the start, with velocities and multipliers shifted by their scales.
+    """
     first, scales = problem.initial, problem.scales
     held = first.q, first.v + scales.v, first.lam + scales.lam
     q, v, lam = (np.broadcast_to(x, (len(t), len(x))) for x in held)
@@ -104,7 +110,7 @@ def _held(problem: InitialValueProblem, observables: Sequence[Observable], t: Ar
     for each in observables:
         try:
             columns.append(np.real(each.value(problem.system, states)))
-        except AncfdaeError:  # The run says so with the instant.
+        except AncfdaeError:  # The run reports it with the time.
             continue
     return np.stack(columns, axis=1) if columns else np.zeros((len(t), 0))
 
@@ -112,27 +118,29 @@ def _held(problem: InitialValueProblem, observables: Sequence[Observable], t: Ar
 # -- transitions -------------------------------------------------------------------------------
 
 
-# Steps about which forces are sampled at most, intervals of each, and how often these are divided;
-# intervals of a first look at a step, which most do not pass.
+# Most steps about which forces are sampled, intervals of each, and how often these are divided;
+# intervals of a first check of a step, after which most steps are dismissed.
 _LOOKED_AT: Final = 6
 _INTERVALS: Final = 8
 _DEPTH: Final = 9
 _FIRST: Final = 4
-# Change of accelerations in a step, less those of its neighbours, over the median of a run.
+# A step is sudden if its change of accelerations, less that of its neighbours, exceeds this times
+# the median of the run.
 _SUDDEN: Final = 4.0
-# Width of a transition that steps resolve, in steps; steps in a width that show its slope.
+# Least width of a resolved transition, in steps; steps per width that resolve its slope.
 _RESOLVED: Final = 0.5
 _PER_WIDTH: Final = 4.0
-# Part of a jump that a closer look finds in one interval: of a jump, and of one to divide again.
+# Least fraction of a change that must lie in one interval of finer samples: for the change to be a
+# jump, and for the interval to be divided again.
 _JUMPS: Final = 0.125
 _WITHIN: Final = 0.25
 
 
 class Transition(NamedTuple):
-    """Steps that resolve all transitions, and the change of state within the narrowest.
+    """Number of steps that resolve all transitions, and the change of state in the narrowest.
 
-    The change is relative to the size of q or v over the run, whichever makes the forces jump. No
-    steps and infinite where all are resolved.
+    The change is relative to the range of q or v over the run, whichever makes the forces jump.
+    Zero steps and an infinite change if all transitions are resolved.
     """
 
     steps: int
@@ -143,9 +151,10 @@ RESOLVED: Final = Transition(0, math.inf)
 
 
 def passed_over(problem: InitialValueProblem, run: Solution, share: float) -> Transition:
-    """Return the transitions that steps pass over whose jump exceeds a share of accelerations.
+    """Return the transitions that the steps of a run pass over.
 
-    Beams alone make no transitions: their forces are polynomials of a low degree in the state.
+    Their jumps exceed `share` times the accelerations. Beams alone make no transitions: their
+    forces are polynomials of a low degree in the state.
     """
     system = problem.system
     count, root = len(run.t) - 1, np.sqrt(system.weights)
@@ -165,7 +174,7 @@ def passed_over(problem: InitialValueProblem, run: Solution, share: float) -> Tr
     reach = [float(np.ptp(x * root, axis=0).max()) for x in (run.q, run.v)]
 
     def of(states: Array, t: float) -> Array:
-        """Return accelerations of `states` at one time t, (len(states), n_q): laws make no jump."""
+        """Return accelerations of `states` at time t, (len(states), n_q): laws make no jump."""
         rows = solver.rows_of(np.full(len(states), t), states[:, :, None])
         return np.asarray(rows[:, 0, : system.n_q] * root)
 
@@ -196,9 +205,9 @@ def _smooth(system: MechanicalSystem) -> bool:
 @final
 @dataclass(frozen=True)
 class _Path:
-    """Straight lines through four states of a run, parts of which are counted in steps.
+    """Straight lines through four successive states of a run, with the step number as parameter.
 
-    `of` returns the accelerations of states at the time `t`, times roots of masses.
+    `of` returns the accelerations of states at the fixed time `t`, times roots of masses.
     """
 
     of: Callable[[Array, float], Array]
@@ -206,7 +215,7 @@ class _Path:
     t: float
 
     def _at(self, parts: Array) -> Array:
-        """Return the states at `parts` of the path, shape (len(parts), 2, n_q)."""
+        """Return states at parameters `parts` of the path, interpolated, (len(parts), 2, n_q)."""
         n = np.minimum(parts.astype(int), len(self.states) - 2)
         share = (parts - n)[:, None, None]
         return np.asarray((1 - share) * self.states[n] + share * self.states[n + 1])
@@ -216,14 +225,14 @@ class _Path:
         return np.diff(self.of(self._at(np.linspace(left, left + size, count + 1)), self.t), axis=0)
 
     def jumps(self, left: float, right: float) -> list[float]:
-        """Return how far accelerations change between two parts by q alone, and by v alone."""
+        """Return the change of accelerations between two parameters by q alone, and by v alone."""
         ends = self._at(np.array([left, right]))
         by_q, by_v = ends.copy(), ends.copy()
         by_q[:, 1], by_v[:, 0] = ends[:, 1].mean(axis=0), ends[:, 0].mean(axis=0)
         return [float(np.linalg.norm(np.diff(self.of(x, self.t), axis=0))) for x in (by_q, by_v)]
 
     def seems_narrow(self, least: float) -> bool:
-        """Return whether a few intervals of the step in the middle may hold a jump."""
+        """Return whether a few intervals of the middle step may contain a jump above `least`."""
         first = _Seen.of(self._rises(1.0, 1.0, _FIRST), 1.0)
         if first.concentrated:
             return first.total > least
@@ -234,10 +243,10 @@ class _Path:
         return not second.most < _JUMPS * first.most
 
     def narrowest(self, least: float) -> tuple[float, float, float]:
-        """Return the width of the largest jump, in steps, and the parts that hold it.
+        """Return the width of the largest jump, in steps, and the interval that contains it.
 
-        Infinite without a jump of the least size. Three steps are looked at: of a step alone half
-        a kink looks like a jump.
+        The width is infinite without a jump above `least`. Three steps are examined: within one
+        step half a kink looks like a jump.
         """
         left, size, count = 0.0, 3.0, 3 * _INTERVALS
         seen = first = _Seen.of(self._rises(left, size, count), size)
@@ -256,9 +265,10 @@ class _Path:
 
 
 class _Seen(NamedTuple):
-    """Size and place of a jump in the changes of accelerations on equal intervals.
+    """Size and position of a jump in the changes of accelerations on equal intervals.
 
-    The sum of the changes, the steepest slope, the largest change beside a smooth one, its place.
+    `total` is the sum of the changes, `slope` the steepest slope, `most` the largest change beyond
+    a smooth one, `k` its interval.
     """
 
     total: float
@@ -268,7 +278,7 @@ class _Seen(NamedTuple):
 
     @staticmethod
     def of(rises: Array, size: float) -> _Seen:
-        """Judge the changes on intervals of a part of this size."""
+        """Return the jump in the changes `rises` on intervals of a path of length `size`."""
         sizes = np.linalg.norm(rises, axis=1)
         # A slope and its change are those of smooth forces.
         change = np.median(np.diff(rises, axis=0), axis=0)
@@ -279,5 +289,5 @@ class _Seen(NamedTuple):
 
     @property
     def concentrated(self) -> bool:
-        """Whether all changes happen within a small part of a step."""
+        """Whether accelerations change within a small fraction of a step only."""
         return self.total < _RESOLVED * self.slope

@@ -1,4 +1,4 @@
-"""Runs of HHT-I3: whether their steps resolve the waves, and what unresolved waves may change."""
+"""Runs of HHT-I3: whether their steps resolve the waves, and the effect of unresolved waves."""
 
 from __future__ import annotations
 
@@ -28,30 +28,30 @@ from ancfdae.studies.accuracy.features import RESOLVED, Transition, passed_over
 from ancfdae.studies.accuracy.runs import AIM, PERCENT, FixedStepRuns, Sample, Wanted
 from ancfdae.studies.accuracy.waves import Wave, fades, followed, missed, unresolved
 
-# Order at which the estimated errors of derivatives fall where steps resolve their waves: from two
-# runs, and, lower, from the second and third of three.
+# Least order at which the estimated errors of derivatives fall from the second to the third run if
+# steps resolve their waves (RESOLVED_ORDER from the first to the second).
 _NEARLY = 1.9
-# Estimated errors above this are of another motion than any other run's.
+# Runs with larger estimated errors follow another motion, and are not compared.
 _MOTION = 1.0
 # Numerical damping of HHT-I3.
 _ALPHA = -0.05
-# Angle of the fastest motion in a run above which equations are stiff.
+# Phase angle, rad, of the fastest motion over a run above which equations are stiff.
 _STIFF = 1e5
-# Least order that is hoped for where waves are not resolved.
+# Order that is assumed in predictions where waves are not resolved, at least.
 _UNSEEN = 1.2
-# Differences over the tolerance whose order need not be seen.
+# Differences below _SMALL times the tolerance need no observed order.
 _SMALL = 0.05
-# What all unresolved waves may change, over the tolerance, for the order to be believed, and the
-# improvement of numbers by it; and bars then, over those of resolved waves.
+# Largest effect of all unresolved waves, over the tolerance, with which an observed order is used,
+# and with which extrapolation by it is; and factor on bars then.
 _LITTLE, _NOTHING, _ORDER_ONLY = 0.2, 0.05, 2.0
-# How much faster than with the order estimated errors may fall; else the coarse run is another
-# motion.
+# Most by which estimated errors may fall faster than with the order; otherwise the coarse run
+# followed another motion.
 _FASTER = 0.6
-# Factors of the steps from the first run to the second: where this is enough for the tolerance by
-# the estimated error, and where it is not.
+# Factors of the number of steps from the first run to the second: the largest if it suffices for
+# the tolerance by the estimated error, and the one otherwise.
 _REACHED, _DOUBLED = 2.25, 2.0
-# Work of the derivatives of a small step of HHT-I3 (`small_from`).
-_OF_A_SMALL = 60.0
+# Cost of a step, microseconds, above which the first run has few steps.
+_DEAR = 200.0
 
 
 @final
@@ -62,26 +62,26 @@ class HHTRuns(FixedStepRuns):
 
     def __init__(self, wanted: Wanted) -> None:
         super().__init__(wanted)
-        # What is lost by waves, and the waves.
+        # Errors by waves that numerical damping removes, and these waves.
         self._lost, self._damped = list[Array](), list[Wave]()
-        # What all unresolved waves change, and its size.
+        # Effect of all unresolved waves on the vectors, and its relative size.
         self.whole, self._whole = list[Array](), math.inf
-        # The error of the run before.
+        # Relative error bar before the last run.
         self._before = math.inf
-        # Whether they fade; None as long as nobody asks.
+        # Whether unresolved waves fade; None until it is computed.
         self._fades: bool | None = None
-        # Whether its runs damped waves of the motion.
+        # Whether numerical damping removed waves of the motion in any run.
         self.waves = False
-        # Steps above which they are small; None as long as nobody asks.
+        # Number of steps above which steps are small; None until it is computed.
         self._small: float | None = None
-        # Transitions of forces that its runs pass over.
+        # Transitions of forces that the runs pass over.
         self.transitions = RESOLVED
 
     def take(self, sample: Sample) -> None:
-        """Add a run; look for waves that it damps.
+        """Add a run, and find the waves that numerical damping removes from it.
 
-        Runs that damp waves, or pass over features, which the next one follows say nothing of it.
-        Nor do those whose estimated errors are of another motion.
+        Runs that damp waves or pass over features that the new run follows are removed from the
+        sequence, and so are runs whose estimated errors show that they followed another motion.
         """
         taken = self.count
         if self._taken < self.least <= taken or self._another(sample):
@@ -101,7 +101,7 @@ class HHTRuns(FixedStepRuns):
         self._taken = taken
 
     def _weigh(self, sample: Sample, resolved: bool) -> None:
-        """Weigh the waves that a run does not resolve."""
+        """Estimate the effect on the wanted vectors of the waves that a run does not resolve."""
         wanted = self._wanted
         waves = unresolved(wanted.problem, sample.run, _ALPHA, not resolved)
         self._damped = [x.wave for x in waves if x.damped]
@@ -109,49 +109,50 @@ class HHTRuns(FixedStepRuns):
         lost = missed(
             wanted.problem, sample.run, waves, (wanted.numbers, wanted.integrated, wanted.partials)
         )
-        # Of each number its value, and its derivatives if they are wanted.
+        # For each number its value, and its derivatives if they are wanted.
         kinds = 1 + wanted.slopes
         self._lost, self.whole = ([x for each in kind for x in each[:kinds]] for kind in lost)
-        # Waves of derivatives are seen where the run has them.
+        # Waves of derivatives are known only if the run has derivatives.
         if wanted.slopes and sample.run.sensitivities is not None:
             self._whole = self.relative(self.whole, sample.vectors)
 
     def _another(self, sample: Sample) -> bool:
-        """Return whether estimated errors fall faster than runs of one motion allow."""
+        """Return whether estimated errors fall faster than runs of the same motion allow."""
         if not (self.samples and sample.vectors):
             return False
         return _estimated_order(self.samples[-1], sample, _MOTION) > self.order + _FASTER
 
     @property
     def least(self) -> int:
-        """Steps that also resolve transitions of forces, which derivatives need."""
+        """Least number of steps; for derivatives it also resolves transitions of forces."""
         return max(super().least, self.transitions.steps if self._wanted.slopes else 0)
 
     @property
     def passes(self) -> bool:
-        """Whether its steps pass over transitions of forces."""
+        """Whether the steps of the last run pass over transitions of forces."""
         return self._taken < self.transitions.steps
 
     @property
     def lost(self) -> list[Array]:
-        """By the last two runs; all of unresolved waves where they are few."""
+        """Errors by damped waves of the last run; by all unresolved waves if these are few."""
         return self.whole if self.smooth and not self.resolved else self._lost
 
     @property
     def smooth(self) -> bool:
-        """Whether all that unresolved waves change is below the tolerance; of three runs.
+        """Whether unresolved waves together change less than the tolerance, from three runs.
 
-        Where estimated errors grow with finer steps there are waves that coarser runs did not have.
+        If estimated errors grow with finer steps there are waves that coarser runs did not have.
         """
         if len(self.samples) < 3 or self._whole > _LITTLE * self._tolerance:
             return False
         return _estimated_order(self.samples[-2], self.samples[-1]) >= 0
 
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
-        """Judge a vector; its order is believed where it is seen and no wave can be a part of it.
+        """Return the error estimate of a result vector from its values in the runs.
 
-        The improvement of numbers by extrapolation is believed where waves change nothing. Steps
-        that jump over a kink of forces err by where they meet it, to first order.
+        An observed order is used only if no wave can be a part of it, extrapolation only if waves
+        change nothing. Steps that jump over a kink of forces have errors of first order, which
+        depend on where they meet it.
         """
         earlier, runs = runs[:-1], runs[-3:]
         kinked = len(earlier) == 4 and not (
@@ -173,9 +174,9 @@ class HHTRuns(FixedStepRuns):
         return Estimate(x, _ORDER_ONLY * bar)
 
     def _over_time(self, runs: Sequence[Array]) -> Estimate:
-        """Judge values at increasing instants; their order is believed where it is seen.
+        """Return the estimate of values at increasing times; an order is used if it is observed.
 
-        That the motion resolves its waves says little of velocities and reactions.
+        That steps resolve the waves of the motion says little about velocities and reactions.
         """
         resolved = self.resolved and (len(runs) < 3 or self._seen(runs, self.counts[-3:]))
         known = self.counts[-3:], self.order, resolved, True
@@ -188,9 +189,9 @@ class HHTRuns(FixedStepRuns):
 
     @property
     def regular(self) -> bool:
-        """Whether the order is seen in all that is not small beside the tolerance, without waves.
+        """Whether all vectors, unless small beside the tolerance, show the order without waves.
 
-        Then numbers do not depend on whether waves are resolved.
+        Then the result does not depend on whether waves are resolved.
         """
         if not self.smooth:
             return False
@@ -204,20 +205,20 @@ class HHTRuns(FixedStepRuns):
 
     @property
     def fades(self) -> bool:
-        """Whether damping takes away all waves that its last run does not resolve."""
+        """Whether physical damping removes all waves that the last run does not resolve."""
         if self._fades is None:
             self._fades = self.smooth and fades(self._system, self.samples[-1].run)
         return self._fades
 
     @property
     def damps(self) -> bool:
-        """Whether waves that it damps may change more than the tolerance allows."""
+        """Whether waves that the run damps may change more than the tolerance allows."""
         vectors = self.samples[-1].vectors if self.samples else []
         return bool(self._damped) and self.relative(self._lost, vectors) > AIM * self._tolerance
 
     @property
     def words(self) -> str:
-        """A sentence on the waves of the motion and whether runs of HHT damp them."""
+        """A sentence on the waves of the motion and whether HHT damps them."""
         if self.damps:
             waves = f"waves of about {max(x.speed for x in self._damped):.2g} rad/s"
             return f"{self.name} damps {waves}, which its steps pass over; bars hold their share"
@@ -227,12 +228,12 @@ class HHTRuns(FixedStepRuns):
 
     @property
     def setting(self) -> Integrator:
-        """HHT at the fixed step of the next run."""
+        """The integrator HHT at the fixed step of the next run."""
         return HHT(self._t_end / self.count, hht_alpha=_ALPHA)
 
     @property
     def _planned(self) -> int:
-        """Steps: first such that they cost what a run costs without; nested where waves hide."""
+        """Steps planned for the next run: twice as many until waves are resolved, then by order."""
         if len(self.samples) < 2:
             return math.ceil(self._second * self._taken) or self._first
         if self._taken < self.least:
@@ -247,36 +248,38 @@ class HHTRuns(FixedStepRuns):
     @property
     def _first(self) -> int:
         """Steps of the first run; Newton's method needs shorter ones where equations are stiff."""
-        if not self._compiled:
+        if self._prices.hht > _DEAR:
             return 16
         return 128 if self._wanted.speed * self._t_end > _STIFF else 64
 
     @property
     def _second(self) -> float:
-        """Times as many steps of the second run: enough for the tolerance where it is in reach."""
+        """Factor of steps to the second run: enough for the tolerance if it is within reach."""
         error = _largest(self.samples[0].estimated) if self.samples else math.inf
         wanted = math.pow(error / self._tolerance, 1 / 3)
         return wanted if _DOUBLED < wanted < _REACHED else _DOUBLED
 
     @property
     def _stride(self) -> float:
-        """Most times the steps of a run that the next one has where waves are resolved.
+        """Largest factor of the number of steps from a run to the next if waves are resolved.
 
-        Long strides say little of the last run alone, which bars over time and pulses need.
+        Large factors would leave the bar to the last run alone; bars over time and pulses need
+        smaller.
         """
         return 2.0 if self._wanted.along or self.least else 4.0
 
     @property
     def _following(self) -> float:
-        """Steps that keep the waves which the last run damps."""
+        """Number of steps that keep the waves which numerical damping removed from the last run."""
         return followed(self._damped, self._t_end, _ALPHA, 1.4 * self._taken)
 
     @property
     def left(self) -> float:
-        """Estimated work to reach the tolerance, microseconds.
+        """Estimated cost to reach the tolerance, microseconds.
 
-        The next run alone while there are fewer than two, then all runs up to one that is fine
-        enough.
+        It is the cost of the next run while there are fewer than two, then of all runs up to one
+        that is fine enough. Bars of extrapolated numbers fall faster than with the order at first,
+        and later with it.
         """
         if len(self.samples) < 2:
             return self.work
@@ -284,7 +287,7 @@ class HHTRuns(FixedStepRuns):
             return self._work(self.least) + self._work(2 * self.least)
         if self.damps:
             return self._work(self._following) + self._work(2 * self._following)
-        order = 3 if self.resolved else 2 if self.regular else self._falls
+        order = self.order if self.resolved or self.regular else self._falls
         last = max(self._growth(order, math.inf) * self._taken, self.count)
         most = self._stride if self.resolved else 2.0
         runs = math.ceil(math.log(last / self._taken) / math.log(most))
@@ -292,31 +295,30 @@ class HHTRuns(FixedStepRuns):
 
     @property
     def _falls(self) -> float:
-        """Order that is hoped for where waves are not resolved: that of the last two errors."""
+        """Order of the last two error bars, limited, for predictions if waves are not resolved."""
         if not (self.error < self._before < math.inf):
             return _UNSEEN
         seen = observed_order(self._before, self.error, self.counts[-1] / self.counts[-2])
         return min(max(float(seen), _UNSEEN), self.order)
 
     def _of_a_step(self, steps: float) -> float:
-        """Return the work of a compiled step, or of one in Python; small steps count extra."""
-        if not self._compiled:
-            return 1300.0
-        if self._small is None and self._wanted.slopes and self.samples:
+        """Return the cost of a step, microseconds, in a run of `steps` steps."""
+        prices = self._prices
+        if prices.small and self._small is None and self._wanted.slopes and self.samples:
             self._small = small_from(self._system, self.samples[-1].run, _ALPHA)
-        return 4.0 + 0.7 * self._n + (_OF_A_SMALL if steps > (self._small or math.inf) else 0.0)
+        return prices.hht + (prices.small if steps > (self._small or math.inf) else 0.0)
 
     @property
     def resolved(self) -> bool:
-        """Whether the errors that two runs estimate themselves fell with the order.
+        """Whether the error estimates of single runs fell with the order of HHT-I3.
 
-        Finer steps resolve what coarser ones did.
+        If so, finer steps resolve the same waves as the coarser steps.
         """
         return _resolve(self.samples)
 
     @property
     def asked(self) -> bool:
-        """Whether there are runs to compare, or the first one failed."""
+        """Whether the search has two runs of HHT to compare, or the first one failed."""
         return self._taken > 0 and len(self.samples) != 1
 
     @property
@@ -334,7 +336,7 @@ class HHTRuns(FixedStepRuns):
 
 
 def _resolve(samples: Sequence[Sample]) -> bool:
-    """Return whether the errors that runs estimate themselves fell with the order once."""
+    """Return whether the errors that runs estimate of themselves fell with the order once."""
     orders = list(map(_estimated_order, samples, samples[1:]))
     return max(orders, default=0.0) >= RESOLVED_ORDER or max(orders[1:], default=0.0) >= _NEARLY
 
@@ -342,7 +344,7 @@ def _resolve(samples: Sequence[Sample]) -> bool:
 def _estimated_order(coarse: Sample, fine: Sample, most: float = ORDERLESS) -> float:
     """Return the order at which estimated errors fall from a run to a finer one.
 
-    Zero where the coarse run estimates more than `most`, or one of them nothing.
+    Zero if the coarse run estimates more than `most`, or one of them has no estimate.
     """
     before, after = _largest(coarse.estimated), _largest(fine.estimated)
     if not (0 < after < math.inf and 0 < before <= most):
@@ -351,7 +353,7 @@ def _estimated_order(coarse: Sample, fine: Sample, most: float = ORDERLESS) -> f
 
 
 def _largest(errors: ErrorEstimates | None) -> float:
-    """Return the largest error of derivatives, or of the motion where there is none of them."""
+    """Return the largest estimated error of derivatives, or of the motion without derivatives."""
     if errors is None:
         return math.inf
     known = [x for x in errors.derivatives or () if not math.isnan(x)]

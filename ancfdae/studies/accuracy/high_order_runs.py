@@ -1,7 +1,7 @@
 """Runs of high order: Radau IIA at fixed steps, and DOP853 at ever tighter tolerances.
 
-Runs of Radau IIA damp waves that they do not resolve, so they are believed where HHT-I3 sees that
-steps resolve the waves, or that the waves fade. DOP853 follows every wave.
+Runs of Radau IIA damp waves that they do not resolve, so they are used where HHT-I3 shows that
+steps resolve the waves, or that the waves fade. DOP853 resolves every wave.
 """
 
 from __future__ import annotations
@@ -33,17 +33,20 @@ from ancfdae.studies.accuracy.runs import (
 )
 from ancfdae.studies.accuracy.waves import pace
 
-# Part of the steps at which HHT saw that waves are resolved, at least.
+# Least number of steps over the number at which HHT showed that waves are resolved.
 _SHARE = 0.25
-# Fewest steps of Radau where waves fade, and its error over the difference of two runs then.
+# Number of steps of the last run over that of the first, as predicted before there are any runs.
+_FURTHER = 4
+# Least number of steps of Radau where waves fade, and error bar over the difference of two runs
+# then.
 _FADING, _OF_FADING = 32, 0.5
 
 
 @final
 class RadauRuns(FixedStepRuns):
-    """Radau IIA, where another sequence sees that waves are resolved.
+    """Runs of Radau IIA, used where the sequence of HHT shows that waves are resolved.
 
-    Its runs damp those that they do not resolve, and agree without them.
+    Its own runs damp unresolved waves, and agree without them.
     """
 
     name, order = "Radau", 5
@@ -54,28 +57,28 @@ class RadauRuns(FixedStepRuns):
 
     @property
     def least(self) -> int:
-        """Stages of a step see half as much again."""
+        """Least number of steps; half of HHT's, because each step has three stages."""
         return max(self._seer.least // 2, self._following_places // 2)
 
     @property
     def lost(self) -> list[Array]:
-        """Waves that runs of HHT-I3 lose; until those resolve them, all that fade."""
+        """Errors by waves: those of HHT's runs; of all unresolved waves until HHT resolves them."""
         return self._seer.lost if self._seer.resolved else self._seer.whole
 
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
-        """Judge a vector; stiff motions that fade leave nothing of the order."""
+        """Return the error estimate of a result vector; without an order if stiff motions fade."""
         if self._seer.resolved:
             return super()._estimate(runs)
         return Estimate(runs[-1], _OF_FADING * spread(runs[-1] - runs[-2], self._wanted.along))
 
     @property
     def setting(self) -> Integrator:
-        """Return Radau at the fixed step of the next run."""
+        """The integrator Radau at the fixed step of the next run."""
         return Radau(self._t_end / self.count)
 
     @property
     def _last(self) -> float:
-        """Return the steps that reach the tolerance, by the waves of the other sequence."""
+        """Number of steps to reach the tolerance, by the errors and waves of HHT's runs."""
         share = HIGH_GRANTED * PERCENT / (AIM * self._tolerance)
         of_error = self._seer.percent / FEWER * math.pow(share, 1 / self.order)
         return max(of_error, self._seer.counts[-1] * _SHARE, self.least)
@@ -83,41 +86,45 @@ class RadauRuns(FixedStepRuns):
     @property
     def _planned(self) -> int:
         if not self.samples:
-            # Differences of HHT-I3 are too large for its smooth motion where waves fade.
+            # Where waves fade, differences of HHT-I3 exceed the error of the smooth motion.
             share, least = (2, 5) if self._seer.resolved else (4, _FADING)
             return max(math.ceil(self._last / share), least, 2 * self._taken)
         return math.ceil(self._taken * self._growth(self.order, 4.0))
 
     @property
     def left(self) -> float:
-        """Estimated work to reach the tolerance; infinite until runs of HHT resolve all waves."""
+        """Estimated cost to reach the tolerance, microseconds; infinite with unresolved waves.
+
+        It is also infinite where waves that the runs of HHT-I3 lose change more than the
+        tolerance: each bar of Radau holds this change.
+        """
         if not self.resolved or self._seer.damps:
+            return math.inf
+        if self.relative(self.lost, self._seer.samples[-1].vectors) > self._tolerance:
             return math.inf
         if self.samples:
             return self._work(self._growth(self.order, math.inf) * self._taken)
-        return self._work(self.count) + self._work(2 * self.count)
+        return self._work(self.count) + self._work(_FURTHER * self.count)
 
     def _of_a_step(self, steps: float) -> float:
-        """Return the work of a compiled step, or of one in Python, microseconds."""
-        if not self._compiled:
-            return 6500.0
-        return 100.0 + 25.0 * self._n + 6.0 * self._of_laws
+        """Return the cost of a step, microseconds, in a run of `steps` steps."""
+        return self._prices.radau
 
     @property
     def resolved(self) -> bool:
-        """Whether there are no waves that are damped without a word."""
+        """Whether no wave is damped unnoticed: HHT resolves all waves, or they fade."""
         seer = self._seer
         return (seer.resolved or seer.fades) and (self._wanted.slopes or not seer.passes)
 
     @property
     def words(self) -> str:
-        """Whether waves are resolved, or fade."""
+        """A sentence that says whether waves are resolved, or fade."""
         if self._seer.resolved or not self.resolved:
             return super().words
         return f"{self.name} does not resolve all waves, which change little"
 
     def _growth(self, order: float, most: float) -> float:
-        """Return the growth that the runs show; a first run is compared with the other kind."""
+        """Return the factor to the next number of steps; the first run is compared with HHT's."""
         if self.estimates:
             return super()._growth(order, most)
         if not (self._seer.resolved and self._seer.estimates):
@@ -126,46 +133,45 @@ class RadauRuns(FixedStepRuns):
         return min(max(math.pow(far, 1 / order), 2.0), most)
 
     def judged(self) -> list[Estimate]:
-        """Compare the runs; runs that contradict the other kind are left out."""
+        """Return estimates from the runs; none if they contradict the estimates of HHT."""
         return super().judged() if self.agrees(self._seer) else []
 
 
 # -- DOP853 ------------------------------------------------------------------------------------
 
 
-# The first tolerance of DOP853 over the one asked for; what the next is tighter by, at least and
-# at most.
+# First tolerance of DOP853 over the requested one; least and largest factor to the next.
 _FIRST, _TIGHTER, _TIGHTEST = 0.1, 10.0, 1e3
-# The loosest and the tightest that it takes.
+# Loosest and tightest tolerance of DOP853 in a search.
 _LOOSEST, _LEAST_RTOL = 1e-2, 3e-14
-# Paths whose sharp places are stops, and how often these are doubled.
+# Number of last paths whose sharp places have stops, and how often the stops are doubled.
 _PATHS, _FINER_STOPS = 3, 3
 # Least distance of two stops, over the length of a run.
 _APART = 1e-7
-# Steps that it takes at least without stops.
+# Least number of steps that is counted without stops.
 _LEAST_CHOSEN = 8
-# Errors over rtol, at least.
+# Least error bar over rtol.
 _PER_RTOL = 1.0
-# Length of its steps times the fastest motion, and the tolerance below which they are shorter.
+# Largest stable step times the fastest |s|, and tolerance below which steps are shorter.
 _STABLE, _FOLLOWED = 5.7, 1e-3
-# Steps that it takes at least, so that more are tried where they are too few.
+# Assumed least number of steps; if they prove too few, more are allowed.
 _FEWEST = 20.0
-# Part of the narrowest transition of forces that error control must know the state to.
+# Tolerance over the change of state within the narrowest transition of forces.
 _OF_NARROW = 0.1
 
 
 @final
 class DOP853Runs(Runs):
-    """DOP853 under error control, which resolves all waves.
+    """Runs of DOP853 under error control, which resolves all waves.
 
-    What a tolerance means for the error is the scene's: two runs tell.
+    The error at a given tolerance depends on the scene: two runs show it.
     """
 
     name = "DOP853"
     words = "DOP853 follows every wave; two tolerances tell its errors"
-    # Times as many steps as foreseen.
+    # Factor on the predicted number of steps.
     _more = 1.0
-    # Sharp places of the last paths, and stops in them.
+    # Sharp places of the last paths, and stops within them.
     _places: tuple[Places, ...] = ()
     _stops: tuple[float, ...] = ()
     _chosen = _LEAST_CHOSEN
@@ -177,43 +183,43 @@ class DOP853Runs(Runs):
 
     @property
     def _rtol(self) -> float:
-        """The tolerance of the next run, at which derivatives pass over no transition of forces."""
+        """Tolerance of the next run; with it derivatives pass over no transition of forces."""
         if not self._wanted.slopes:
             return self._asked
         return min(self._asked, _OF_NARROW * self._seer.transitions.narrow)
 
     @property
     def setting(self) -> Integrator:
-        """DOP853 at the tolerance of the next run."""
+        """The integrator DOP853 at the tolerance of the next run."""
         stops = (*self._wanted.features.stops, *self._stops)
         most = math.ceil(3 * self._foreseen) + 20 + 3 * len(stops)
-        # Interpolation between instants is an error too: each run has twice as many.
+        # Interpolation between output times is an error too: each run doubles their number.
         intervals = self._intervals * 2 ** len(self._taken)
         return DOP853(max(self._rtol, _LEAST_RTOL), intervals, most, stops=stops)
 
     @property
     def chosen(self) -> int:
-        """Steps of the last run, without those that stops asked for."""
+        """Number of steps of the last run of DOP853, less the number of stops."""
         return self._chosen
 
     def _stop(self) -> None:
-        """Stop in places; steps that stops alone make must be finer in every run, to differ."""
+        """Set stops in sharp places; later runs have more, so that steps at stops differ, too."""
         times = 2 ** min(len(self._taken), _FINER_STOPS)
         each = sorted({x for places in self._places for x in places.stops(times)})
         least = _APART * self._t_end
         self._stops = tuple(x for before, x in pairwise([-least, *each]) if x > before + least)
 
     def follows(self, places: Places) -> bool:
-        """Return whether the runs stopped in every place of the last one."""
+        """Return whether the stops of the runs divide every sharp place of the last path."""
         return places.followed((*self._wanted.features.stops, *self._stops))
 
     @property
     def stops_there(self) -> bool:
-        """Whether runs stop in sharp places."""
+        """Whether the runs of DOP853 stop in sharp places of their paths."""
         return bool(self._stops)
 
     def mind(self, places: Places) -> None:
-        """Begin again with stops in the places."""
+        """Restart the sequence with stops in the given sharp places."""
         self._places = (*self._places[1 - _PATHS :], places) if places.parts else self._places
         self.samples, self._taken = [], []
         self._stop()
@@ -221,7 +227,7 @@ class DOP853Runs(Runs):
         super().mind(places)
 
     def take(self, sample: Sample) -> None:
-        """Add a run; the next is as tight as the last two ask for, or may take more steps."""
+        """Add a run, and choose the tolerance of the next, or allow more steps after a failure."""
         if sample.vectors:
             self._taken.append(self._rtol)
         super().take(sample)
@@ -235,7 +241,7 @@ class DOP853Runs(Runs):
 
     @property
     def _next(self) -> float:
-        """The tolerance that the runs ask of the next one."""
+        """Tolerance of the next run of DOP853, from the error of the runs so far."""
         if not self.estimates:
             return self._rtol / _TIGHTER
         further = self.error / (AIM * self._tolerance)
@@ -243,21 +249,21 @@ class DOP853Runs(Runs):
 
     @cached_property
     def _fastest(self) -> tuple[float, bool]:
-        """Steps that stability takes, and whether tight tolerances take more of them."""
+        """Number of steps for stability, and whether tight tolerances need more of them."""
         seer, per_speed = self._seer, self._t_end / _STABLE
         if seer.transitions.steps and seer.samples:
-            # What starts within a transition is stiff there, and leaves it at once.
+            # A start within a transition is stiff there, but leaves it at once.
             speed = pace(self._system, seer.samples[-1].run)
             if speed is not None:
                 return speed * per_speed, False
         return self._wanted.speed * per_speed, True
 
     def _steps(self, rtol: float) -> float:
-        """Return the steps at a tolerance, of accuracy or of stability."""
+        """Return the predicted number of steps at a tolerance, for accuracy or stability."""
         if self.samples:
             return self.samples[-1].steps * math.pow(max(self._taken[-1] / rtol, 1.0), 1 / 8)
         smooth = self._seer.percent / FEWER * math.pow(max(PERCENT / rtol, 1.0), 1 / 8)
-        if self._seer.waves:  # HHT errs by these, which stability asks to be followed anyway.
+        if self._seer.waves:  # Waves cause HHT's error; stability resolves them anyway.
             smooth = _FEWEST
         waves, vibrate = self._fastest
         if vibrate:
@@ -270,25 +276,21 @@ class DOP853Runs(Runs):
 
     @property
     def work(self) -> float:
-        """Estimated work of the next run at the predicted number of steps, microseconds."""
+        """Estimated cost of the next run at the predicted number of steps, microseconds."""
         return self._of(self._foreseen)
 
     def _of(self, steps: float) -> float:
         instants = 8 * self._intervals
         evaluations = 12 * steps + instants
-        of_one = 16.0 + 0.12 * self._n if self._compiled else 1100.0
-        traits = self._system.traits
-        if not (traits.constant_mass and traits.constant_constraints):
-            of_one = max(of_one, 60.0 + self._n)
-        of_one += self._of_laws
-        # Measured with up to three variables; every one is a row of the states.
-        return OF_A_RUN + evaluations * of_one * max(1.0, (1 + self._system.n_b) / 4)
+        # Measured with up to three variables, each of which adds a row to the states.
+        rows = max(1.0, (1 + self._system.n_b) / 4)
+        return OF_A_RUN + evaluations * self._prices.evaluation * rows
 
     @property
     def left(self) -> float:
-        """Estimated work of the next run and of the one that judges it, microseconds.
+        """Estimated cost of the next run and of the one that judges it, microseconds.
 
-        Infinite until the runs of HHT ask for it, and once the tolerance is the tightest.
+        Infinite until there are runs of HHT to compare, and after a run at the tightest tolerance.
         """
         if not self._seer.asked or (self._taken and self._taken[-1] <= _LEAST_RTOL):
             return math.inf
@@ -297,7 +299,7 @@ class DOP853Runs(Runs):
         return self.work + self._of(self._steps(self._rtol / _TIGHTER))
 
     def judged(self) -> list[Estimate]:
-        """Return error bars from the last two runs; from a third one if HHT contradicts them."""
+        """Return estimates from the last two runs; from three if HHT's runs contradict them."""
         if len(self.samples) < 2 or (len(self.samples) == 2 and not self.agrees(self._seer)):
             return []
         before, after = (x.vectors for x in self.samples[-2:])

@@ -1,17 +1,18 @@
 """Sharp places: where forces or integrands change within a small part of a step of a run.
 
 Functions of time alone are sampled before any run (`features`). Functions of the state are known
-along the path of a run only, and may change between any two samples: a notch of a thousandth of the
+only along the path of a run, and may change between any two samples: a notch of a thousandth of the
 travel. But formulas are lists of operations, which bound their own values
 (`ancfdae.numerics.enclosures`). Along the cubic path between two times the derivative of a function
 in time lies in [low, high]. The function is then at most (high - low) h/4 away from its chord. An
-interval is halved while that is much, or falls less than a smooth function makes it fall. No sharp
+interval is halved while this bound is large, or falls less than for a smooth function. No sharp
 place lies between the samples that remain.
 
 From these samples follow the distances of the function from its chords over T, T/2, T/4 and so on.
-A quarter of the length brings a smooth function sixteen times closer, and a kink four times. It
-brings a change within less than a chord no closer. Steps must be shorter than the longest chord
-from which on it does, unless the motion itself changes as fast: then the run knows.
+With chords of a quarter of the length a smooth function is sixteen times closer, a kink four times,
+and a change within less than a chord no closer. Steps must be shorter than the longest chord from
+which on the function comes closer, unless the motion itself changes as fast: then error control
+resolves it.
 """
 
 from __future__ import annotations
@@ -35,46 +36,48 @@ from ancfdae.sensitivity.observables.expression import Operation, evaluated, in_
 from ancfdae.sensitivity.observables.observable import Observable, States, states_of
 from ancfdae.sensitivity.observables.user_functions import Custom
 
-# Distance from a chord that is much, over the size of a function; what a bound over half an
-# interval has of that over the whole one, at most, where the function is smooth.
+# Bound of the distance from a chord, over the size of the function, above which an interval is
+# halved; and largest ratio of the bounds of half and whole interval of a smooth function.
 _MUCH: Final = 0.05
 _FALLS: Final = 1 / 3
-# What distances from chords of a quarter of the length have of those before, at least, at a place
-# and at a kink. Distances that count, over the tolerance: at a place, where derivatives see the
-# slope of a jump, and at a kink.
+# Least ratio of the distances from chords of a quarter of the length and of the whole, at a sharp
+# place and at a kink. Least distance that counts, over the tolerance: at a sharp place, where
+# derivatives contain the slope of a jump, and at a kink.
 _QUARTERED, _KINKED = 0.6, 1 / 8
 _JUMP, _BEND = 0.1, 0.3
-# Steps in the longest chord that follows a place; levels that a motion must be coarser by, and how
-# much less of it counts.
+# Steps per longest chord that resolves a place; number of levels by which the motion must be
+# coarser, and factor by which its threshold is lower.
 _FINER, _COARSER, _CLOSER = 32, 2, 2
-# Fewest samples in a chord; fewer were enough, because the function is smooth there.
+# Least number of samples in a chord; with fewer the function is smooth there.
 _SEEN: Final = 5
-# The longest and the shortest chord, as powers of two of the run.
+# Levels of the longest and the shortest chord: lengths are 2^-level of the run.
 _LONGEST, _SHORTEST = 3, 30
-# Places may take this share of the time; more are a motion that is fast throughout.
+# Largest fraction of the time in sharp places; beyond it the motion is fast throughout.
 _SHARE: Final = 0.3
-# Halvings of an interval, those in one pass and in all, and operations of a list that is bounded.
+# Most halvings of one interval, of intervals in one pass and in all, and most operations of a list
+# whose values are bounded.
 _DEPTH: Final = 30
 _WIDE, _MOST = 2**10, 2**15
 _OPERATIONS: Final = 2000
-# Samples of functions without a list, samples that are called one by one, most in an interval.
+# Number of samples of functions without a list, of functions called one by one, and most samples
+# in an interval.
 _SAMPLES, _CALLS, _EACH = 2**15, 2**10, 64
-# Stops in the longest chord that follows a place, and how far apart they may be within it; all.
+# Stops per longest chord that resolves a place, their largest distance over it, and most stops.
 _STOPS, _APART, _ALL = 12, 0.25, 1800
-# Copies of a load that are looked at, and times at which their forces are compared.
+# Most copies of a load that are examined, and number of times at which their forces are compared.
 _COPIES, _TIMES = 4, 65
-# Degree up to which polynomials of observables change no more suddenly than these.
+# Degree up to which polynomials of observables change no more suddenly than the observables.
 _LOW: Final = 4
-# Chords of this length before and after a place belong to it: its tails.
+# Number of chords before and after a place that belong to it.
 _WIDER: Final = 2
 
 
-# Columns of a path.
+# Indices of columns of a path.
 Columns: TypeAlias = "slice | list[int]"
 
 
 class Part(NamedTuple):
-    """Ends of a sharp place and the longest chord that follows it, s."""
+    """Start and end of a sharp place and the longest chord that resolves it, s."""
 
     left: float
     right: float
@@ -82,10 +85,10 @@ class Part(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Sharp places that a run passes over: fewest steps that follow all, and parts.
+    """Sharp places that a run passes over: number of steps that resolve all of them, and parts.
 
-    Each part is a place that error control may not see. Kinks are no places; steps below `kinks`
-    jump over one that matters.
+    Each part is a place that error control may not notice. Kinks have no parts; with fewer than
+    `kinks` steps a run jumps over a kink that matters.
     """
 
     steps: int
@@ -93,7 +96,7 @@ class Places(NamedTuple):
     parts: tuple[Part, ...]
 
     def stops(self, times: int = 1) -> tuple[float, ...]:
-        """Return times that part every place, `times` as many as follow it."""
+        """Return times, s, that divide every place, `times` as many as resolve it."""
         found = set[float]()
         for left, right, chord in self.parts:
             count = math.ceil((right - left) / chord * _STOPS) * times
@@ -101,7 +104,7 @@ class Places(NamedTuple):
         return tuple(sorted(found)[:_ALL])
 
     def followed(self, stops: Sequence[float]) -> bool:
-        """Return whether stops of a run part each place."""
+        """Return whether the stops of a run divide each place finely enough."""
         t = np.sort(stops)
         for left, right, chord in self.parts:
             inside = np.concatenate([[left], t[(t > left) & (t < right)], [right]])
@@ -111,7 +114,7 @@ class Places(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Description of the first place."""
+        """Description of the first sharp place, for messages."""
         left, right, _ = self.parts[0]
         return (
             f"forces or observables change within {right - left:.1g} s at t = {left:.6g} s, which "
@@ -120,14 +123,14 @@ class Places(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """An observable whose places matter, and the sharpness k if exp(k x) is integrated."""
+    """An observable whose sharp places matter, and the sharpness k if exp(k x) is integrated."""
 
     observable: Observable
     sharpness: float | None = None
 
 
 class _Listed(NamedTuple):
-    """Functions as a list: numbers and their rates, and the columns of a path that they need.
+    """Functions as a list of operations: outputs and their rates, and the path columns they need.
 
     `inputs` and `rates` are the numbers of these columns and of their rates in the list.
     """
@@ -141,9 +144,9 @@ class _Listed(NamedTuple):
 
 
 class _Group(NamedTuple):
-    """Functions that share a size: factors that bring them to one unit, and how it is found.
+    """Functions along a path that share a size, with factors that bring them to one unit.
 
-    `level` says that the mean is a part of the size. Functions that are no list have the samples.
+    If `level`, their mean is a part of the size. Functions without a list are sampled.
     """
 
     path: _Path
@@ -157,9 +160,9 @@ class _Group(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Witness:
-    """Looks for places in a system and its observables that the times of runs pass over.
+    """Finds sharp places in a system and its observables that the time steps of runs pass over.
 
-    What changes a function by much less than the tolerance, `share`, does not count.
+    Changes of a function far below `share`, the tolerance, do not count.
     """
 
     system: MechanicalSystem
@@ -168,7 +171,7 @@ class Witness:
 
     @property
     def looks(self) -> bool:
-        """Whether there is anything that may have places."""
+        """Whether the system or an observable may have sharp places."""
         system = self.system
         own = not isinstance(system, PlannedSystem)
         if isinstance(system, AncfSystem):
@@ -176,7 +179,7 @@ class Witness:
         return own or any(_sharp(x) for x in self.seen)
 
     def of(self, run: Solution, steps: int) -> Places:
-        """Return the places of the path of a run that its steps may pass over."""
+        """Return the sharp places of the path of a run that `steps` steps may pass over."""
         if not self.looks or len(run.t) < 3:
             return Places(0, 0, ())
         path = _Path.of(run)
@@ -190,15 +193,15 @@ class Witness:
 
 
 def _sharp(seen: Seen) -> bool:
-    """Whether an observable may change more suddenly than the motion.
+    """Return whether an observable may change more suddenly than the motion.
 
-    Polynomials of a low degree do not, like squares of velocities.
+    Polynomials of a low degree, such as squares of velocities, do not.
     """
     return seen.sharpness is not None or not _degree(seen.observable) <= _LOW
 
 
 def _degree(observable: Observable) -> float:
-    """Return the degree of a polynomial of observables of the package; infinite of others."""
+    """Return the degree of a polynomial in observables; infinite for other functions."""
     degrees = dict[object, float]()
     for node in in_order(observable):
         if not isinstance(node, Operation):
@@ -222,7 +225,7 @@ def _degree(observable: Observable) -> float:
 
 
 def _deepest(parts: Sequence[Part]) -> tuple[Part, ...]:
-    """Return parts that hold none of a shorter chord, by which they are explained."""
+    """Return the parts that contain no part with a shorter chord, which would explain them."""
     found = list[Part]()
     for part in sorted(parts, key=lambda x: x.chord):
         if all(
@@ -235,7 +238,7 @@ def _deepest(parts: Sequence[Part]) -> tuple[Part, ...]:
 @final
 @dataclass(frozen=True)
 class _Path:
-    """Cubics through values and slopes at the times of a run: t, q, v, lam and more columns."""
+    """Cubics through values and slopes at the times of a run: columns t, q, v, lam and more."""
 
     t: Array
     Y: Array
@@ -244,7 +247,7 @@ class _Path:
 
     @staticmethod
     def of(run: Solution) -> _Path:
-        """Return the path of a run, of times that differ."""
+        """Return the path of a run in state space, without repeated times."""
         kept = np.append(True, np.diff(run.t) > 1e-12 * run.t[-1])
         t, q, v, a, lam = (np.real(x[kept]) for x in (run.t, run.q, run.v, run.a, run.lam))
         Y = np.concatenate([t[:, None], q, v, lam], axis=1)
@@ -252,7 +255,7 @@ class _Path:
         return _Path(t, Y, rates, (q.shape[1], lam.shape[1]))
 
     def with_columns(self, run: Solution, columns: Sequence[Array]) -> _Path:
-        """Return the path with more functions of the times of its run."""
+        """Return the path with further functions, given at the times of its run, as columns."""
         if not columns:
             return self
         kept = np.append(True, np.diff(run.t) > 1e-12 * run.t[-1])
@@ -269,19 +272,19 @@ class _Path:
         return Y[:, :-1], first, 3 * rise - 2 * first - last, first + last - 2 * rise
 
     def at(self, n: Array, s: Array, columns: Columns = slice(None)) -> Array:
-        """Return columns at parts s of the intervals n, (columns, k)."""
+        """Return columns at fractions s of the intervals n, shape (columns, k)."""
         y, dy, bend, twist = (x[:, n] for x in self._powers(columns))
         return np.asarray(y + s * (dy + s * (bend + s * twist)))
 
     def rates(self, n: Array, s: Array, columns: Columns = slice(None)) -> Array:
-        """Return rates of columns at parts s of the intervals n, (columns, k)."""
+        """Return rates of columns at fractions s of the intervals n, shape (columns, k)."""
         _, dy, bend, twist = (x[:, n] for x in self._powers(columns))
         return np.asarray((dy + s * (2 * bend + 3 * s * twist)) / np.diff(self.t)[n])
 
     def boxes(
         self, n: Array, s: Array, e: Array, columns: Columns
     ) -> tuple[list[Interval], list[Interval]]:
-        """Return bounds of columns and of their rates from parts s to e of the intervals n.
+        """Return bounds of columns and of their rates from fractions s to e of intervals n.
 
         A cubic and its derivative lie within the hulls of their Bezier points.
         """
@@ -297,12 +300,12 @@ class _Path:
         )
 
     def states(self, n: Array, s: Array) -> States:
-        """Return the states at parts of intervals."""
+        """Return the states of the run at fractions s of its intervals n, (k,) each."""
         (n_q, _), x = self.sizes, self.at(n, s)
         return States(x[0], x[1 : 1 + n_q].T, x[1 + n_q : 1 + 2 * n_q].T, x[1 + 2 * n_q :].T)
 
     def places(self, group: _Group, share: float, steps: int) -> Places:
-        """Return the places of some functions that steps may pass over."""
+        """Return the sharp places of a group of functions that `steps` steps may pass over."""
         with np.errstate(all="ignore"):
             if group.listed is not None:
                 places = self._divided(group, group.listed, _JUMP * share)
@@ -332,12 +335,12 @@ class _Path:
             return chords.places(np.where(sharp >= own + _COARSER, sharp, 0), kinks, steps)
 
     def _split(self, places: Array) -> tuple[Array, Array]:
-        """Return intervals, and parts of them, of places that are counted in intervals."""
+        """Return intervals, and fractions of them, of positions counted in intervals."""
         n = np.minimum(places.astype(int), len(self.t) - 2)
         return n, places - n
 
     def _unsure(self) -> float:
-        """Return how far the rates of q are from v between the times, over the range of v."""
+        """Return the largest difference of dq/dt and v between times, over the range of v."""
         n_q, count = self.sizes[0], len(self.t) - 1
         q, v = slice(1, 1 + n_q), slice(1 + n_q, 1 + 2 * n_q)
         middles = np.arange(count), np.full(count, 0.5)
@@ -346,7 +349,7 @@ class _Path:
         return off / (_size(x, False) or 1.0)
 
     def _motion(self, n: Array, s: Array) -> Callable[[Array], Array]:
-        """Return the function of places that is q and v, each relative to its largest range."""
+        """Return q and v, each over its largest range, as a function of positions."""
         n_q = self.sizes[0]
         both = slice(1, 1 + 2 * n_q)
         q, v = (_size(x, False) or 1.0 for x in np.split(self.at(n, s, both), 2))
@@ -354,7 +357,7 @@ class _Path:
         return lambda places: self.at(*self._split(places), both) * factors
 
     def _divided(self, group: _Group, listed: _Listed, share: float) -> Array:
-        """Return the ends of intervals in which functions are smooth, (k,), in intervals."""
+        """Return the ends of intervals in which functions are smooth, (k,), as positions."""
         count = len(self.t) - 1
         n, s, e = np.arange(count), np.zeros(count), np.ones(count)
         before, ends = np.zeros(count), [np.arange(count + 1.0)]
@@ -376,7 +379,7 @@ class _Path:
             if not again.any() or sum(map(len, ends)) > _MOST + 2 * count:
                 break
             if again.sum() > max(_WIDE, count):
-                # Every value counts of a function whose large values are not yet seen.
+                # Only the worst intervals: of a function with unseen large values all would count.
                 again &= off >= np.sort(off)[-max(_WIDE, count)]
             n, s, middle, e = (x[again] for x in (n, s, middle, e))
             before = np.tile(off[again], 2)
@@ -385,7 +388,7 @@ class _Path:
 
 
 def _size(rows: Array, level: bool) -> float:
-    """Return the size of functions: the largest value, or range, of any."""
+    """Return the largest range of functions (rows), or with `level` the largest value."""
     if not rows.size:
         return 0.0
     largest = float(np.abs(rows).max())
@@ -396,10 +399,10 @@ def _size(rows: Array, level: bool) -> float:
 @final
 @dataclass(frozen=True)
 class _Chords:
-    """Distances of functions of the size one from chords over 2^-l of a run, at times t.
+    """Distances of functions of size one from chords over 2^-l of a run, at times t.
 
-    `gaps` has a row for each level l, from `_LONGEST` on; `between` is of chords that begin in
-    the middle of these, so that no place is at the end of all.
+    `gaps` has a row for each level l, from `_LONGEST` on; chords of `between` begin in the middle
+    of these, so that a place at the end of one chord is inside another.
     """
 
     t: Array
@@ -408,9 +411,9 @@ class _Chords:
 
     @staticmethod
     def of(known: Array, t: Array, function: Callable[[Array], Array]) -> _Chords:
-        """Measure the distances of a function of places; no level is finer than the times.
+        """Return the distances of a function of positions from chords, down to the spacing of t.
 
-        Places are counted in intervals of the `known` times.
+        Positions are counted in intervals of the `known` times.
         """
         x = t / t[-1]
         at = np.interp(t, known, np.arange(float(len(known))))
@@ -429,12 +432,12 @@ class _Chords:
 
     @property
     def _levels(self) -> list[tuple[int, float]]:
-        """Levels and where their chords begin, the finest last."""
+        """Levels, and shifts of their chords, the finest last."""
         known = range(_LONGEST, _LONGEST + len(self.gaps) - 2)
         return [(level, shift) for level in known for shift in (0.0, 0.5)]
 
     def _cells(self, level: int, shift: float) -> tuple[Array, Array, Array]:
-        """Return the largest distances in each chord of a level, of two levels on, and sizes."""
+        """Return the largest distances per chord of a level, two levels on, and sample counts."""
         cell = np.floor(self.t / self.t[-1] * 2.0**level + shift)
         begins = np.flatnonzero(np.append(True, np.diff(cell) > 0))
         k = level - _LONGEST
@@ -444,7 +447,7 @@ class _Chords:
         return np.where(sizes < _SEEN, 0.0, off), after, sizes
 
     def level(self, share: float) -> Array:
-        """Return the last level whose chord passes over something, (k,); 0 for none.
+        """Return at each time the last level whose chords pass over a change, (k,); 0 for none.
 
         Levels are counted in halves: chords of half levels begin between others.
         """
@@ -456,7 +459,7 @@ class _Chords:
         return found
 
     def kinks(self, share: float) -> int:
-        """Return the steps below which chords pass over a kink."""
+        """Return the number of steps below which steps jump over a kink of the functions."""
         steps = 0
         for level, shift in self._levels:
             off, after, _ = self._cells(level, shift)
@@ -465,7 +468,7 @@ class _Chords:
         return steps
 
     def places(self, level: Array, kinks: int, steps: int) -> Places:
-        """Return places of which the last level that passes over them is known at each time."""
+        """Return sharp places from the last level that passes over a change at each time."""
         kinks = kinks if kinks > steps else 0
         level = np.where(2.0 ** (np.floor(level) + 1) * _FINER > steps, level, 0)
         inside, t_end = level > 0, float(self.t[-1])
@@ -523,7 +526,7 @@ def _with_rates(
     constants: dict[int, float],
     path: _Path,
 ) -> _Group | None:
-    """Return functions with their rates along a path; None for none, and for very long lists.
+    """Return functions with their rates along a path; None for constants and very long lists.
 
     `columns` are the numbers of inputs and of their rates, in the order of the path.
     """
@@ -543,7 +546,7 @@ def _with_rates(
 
 
 def _forces(system: MechanicalSystem, path: _Path) -> list[_Group]:
-    """Return forces, masses and constraints of a user's own along a path."""
+    """Return forces, masses and constraints written by a user, along a path."""
     if isinstance(system, AncfSystem):
         return [group for item in system.sharp_loads() for group in _loaded(item, path)]
     if isinstance(system, PlannedSystem):
@@ -567,7 +570,7 @@ def _forces(system: MechanicalSystem, path: _Path) -> list[_Group]:
 def _loaded(item: LoadInput, path: _Path) -> list[_Group]:
     """Return the forces of a load, with its law of time, along the path of its vectors.
 
-    Of a load in several copies those with the largest forces.
+    For a load in several copies only those with the largest forces are returned.
     """
     n_q, size, t = path.sizes[0], item.reference.size, path.t
     rows = path.Y[:, 1 : 1 + n_q], path.Y[:, 1 + n_q : 1 + 2 * n_q], path.slopes[:, 1 + n_q :]
@@ -611,7 +614,7 @@ def _acting(item: LoadInput, U: Array, V: Array, factors: Array) -> list[int]:
 
 
 def _called(system: MechanicalSystem, path: _Path) -> Callable[[Array, Array], Array]:
-    """Return forces of a system that is called one after the other, at few of them."""
+    """Return forces of a system that is called for one state at a time, from few samples."""
     places = np.linspace(0.0, len(path.t) - 1.0, _CALLS + 1)
     n = np.minimum(places.astype(int), len(path.t) - 2)
     at = path.states(n, places - n)
@@ -621,7 +624,7 @@ def _called(system: MechanicalSystem, path: _Path) -> Callable[[Array, Array], A
 
 
 def _observed(system: MechanicalSystem, seen: Seen, path: _Path, run: Solution) -> list[_Group]:
-    """Return an observable along a path: as a list if it can be traced, as samples else."""
+    """Return an observable along a path: as a list if it can be traced, else as samples."""
     observable, k = seen
     near = 0.0
     if k is not None:
@@ -659,6 +662,6 @@ def _observed(system: MechanicalSystem, seen: Seen, path: _Path, run: Solution) 
 def _sampled(
     system: MechanicalSystem, seen: Seen, path: _Path, near: float, n: Array, s: Array
 ) -> Array:
-    """Return values of an observable at parts of a path, or of exp(k x), (1, k)."""
+    """Return values of an observable, or of exp(k x), at fractions s of intervals n, (1, k)."""
     x = np.real(seen.observable.value(system, path.states(n, s)))
     return np.asarray(x if seen.sharpness is None else np.exp(seen.sharpness * (x - near)))[None]

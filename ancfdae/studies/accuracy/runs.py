@@ -1,6 +1,6 @@
-"""Sequences of runs of one integrator: what they cost, what they say, what it takes to go on.
+"""Sequences of runs of one integrator: their cost, their error bars, and the next run.
 
-`Runs` is the contract of the search; `FixedStepRuns` has ever finer fixed steps.
+`Runs` is the interface of the search; `FixedStepRuns` has ever finer fixed steps.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations import ErrorEstimates, MechanicalSystem, PlannedSystem, Solution
+from ancfdae.equations import ErrorEstimates, MechanicalSystem, Solution
+from ancfdae.equations.plans import CalledPlan, ListPlan
+from ancfdae.equations.system import planned
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
@@ -21,26 +23,23 @@ from ancfdae.studies.accuracy.bars import Estimate, refined
 from ancfdae.studies.accuracy.places import Places
 from ancfdae.studies.accuracy.waves import Numbers, Partials
 
-# Work of a run without its steps.
+# Cost of a run without its steps, microseconds.
 OF_A_RUN = 2500.0
-# Work of one evaluation of loads that move, each, and of driven joints with their derivatives, by
-# methods other than HHT-I3: in Python.
-_OF_A_LOAD, _OF_DRIVES = 30.0, 350.0
-# An error relative to nothing, with which steps can still be counted.
+# Relative error in place of infinity, from which numbers of steps can still be computed.
 _BEYOND = 1e30
-#: A run aims at the part AIM of the tolerance.
+#: A run aims at an error of AIM times the tolerance.
 AIM = 0.7
-#: Where HHT errs by a hundredth, PERCENT, methods of high order do so with steps FEWER times fewer.
+#: Methods of high order have an error of PERCENT with FEWER times fewer steps than HHT.
 PERCENT, FEWER = 1e-2, 8.0
-# Two kinds of runs contradict each other if they differ by more than _CONTRADICTS error bars: one
-# bar in twenty does not hold.
+# Two kinds of runs contradict each other if they differ by more than _CONTRADICTS error bars, of
+# which one in twenty does not hold.
 _CONTRADICTS = 3.0
 
 
 class Sample(NamedTuple):
     """Result of one run: wanted vectors, estimated errors, steps, returned value, and the run.
 
-    No vectors where it did not end; the result is what it raised then.
+    If the run did not end there are no vectors, and the result is the exception raised.
     """
 
     vectors: list[Array]
@@ -50,7 +49,7 @@ class Sample(NamedTuple):
     run: Solution
 
 
-# Integrates; returns the sizes that errors of vectors are relative to.
+# Measure runs an integrator; Sizes returns the sizes to which errors of vectors are relative.
 Measure = Callable[[Integrator], Sample]
 Sizes = Callable[[Sequence[Array]], Sequence[float]]
 
@@ -58,7 +57,7 @@ Sizes = Callable[[Sequence[Array]], Sequence[float]]
 class Wanted(NamedTuple):
     """Task of a search: vectors of a system's motion to a tolerance relative to their sizes.
 
-    `numbers` evaluates what they are about on states, one array each; `integrated` says which are
+    `numbers` evaluates the wanted numbers on states, one array each; `integrated` says which are
     integrals over time. If there are `partials`, the derivatives of the numbers in the states, each
     is followed by its logarithmic design derivatives as a vector. If `along` is True a vector holds
     values at increasing times. `speed` is the largest |s| of motions e^(s t) about the start, 1/s;
@@ -78,20 +77,49 @@ class Wanted(NamedTuple):
 
     @property
     def system(self) -> MechanicalSystem:
-        """The system whose motion is wanted."""
+        """The system whose motion the search computes."""
         return self.problem.system
 
     @property
     def slopes(self) -> bool:
-        """Whether derivatives are wanted."""
+        """Whether design derivatives are wanted."""
         return self.partials is not None
 
 
-class Runs(abc.ABC):
-    """Runs of one integrator, the step of each chosen for the tolerance from the runs before it.
+class Prices(NamedTuple):
+    """Measured costs of a step of HHT-I3, a step of Radau and an evaluation by DOP853.
 
-    Work is counted, not timed, in microseconds of the machine on which it was measured, so that
-    the same call takes the same runs (docs/measurements.md).
+    In microseconds, with the derivatives of two or three variables. `small` is the additional cost
+    of the derivatives of a small step of HHT-I3 (`small_from`).
+    """
+
+    hht: float
+    small: float
+    radau: float
+    evaluation: float
+
+    @staticmethod
+    def of(system: MechanicalSystem) -> Prices:
+        """Return the costs for a scene, for lists of operations, or for functions of Python."""
+        plan, n, traits = planned(system), system.n_q, system.traits
+        if isinstance(plan, CalledPlan):
+            return Prices(360.0, 0.0, 2200.0, 280.0)
+        if isinstance(plan, ListPlan):
+            return Prices(2.0 + 0.5 * n, 0.0, 220.0 + 5.0 * n, 3.0 + n)
+        moving, driven = len(plan.moving), plan.joint_factors is not None
+        radau = 100.0 + 4.5 * n + 0.055 * n**2 + 25.0 * moving + 700.0 * driven
+        evaluation = 10.0 + 0.17 * n
+        if not (traits.constant_mass and traits.constant_constraints):
+            evaluation = 35.0 + 0.5 * n
+        evaluation += 12.0 * moving + 130.0 * driven
+        return Prices(4.0 + 0.5 * n, 45.0, radau, evaluation)
+
+
+class Runs(abc.ABC):
+    """Runs of one integrator, with the step of each chosen for the tolerance from earlier runs.
+
+    Cost is predicted, not timed, in microseconds of the machine on which it was measured, so that
+    the same call makes the same runs (docs/measurements.md).
     """
 
     name: ClassVar[str]
@@ -100,60 +128,55 @@ class Runs(abc.ABC):
         system = wanted.system
         self._wanted, self._system, self._n, self._t_end = wanted, system, system.n_q, wanted.t_end
         self._tolerance, self._sizes = wanted.tolerance, wanted.sizes
-        plan = system.plan if isinstance(system, PlannedSystem) else None
-        self._compiled = plan is not None
-        self._of_laws = 0.0
-        if plan is not None:
-            self._of_laws = _OF_A_LOAD * len(plan.moving)
-            self._of_laws += _OF_DRIVES * (plan.joint_factors is not None)
+        self._prices = Prices.of(system)
         self.samples, self.estimates = list[Sample](), list[Estimate]()
         self.error = math.inf
 
     @property
     @abc.abstractmethod
     def setting(self) -> Integrator:
-        """The integrator of the next run."""
+        """The integrator with its settings for the next run."""
 
     @property
     @abc.abstractmethod
     def work(self) -> float:
-        """Estimated work of the next run, microseconds."""
+        """Estimated cost of the next run, microseconds."""
 
     @property
     @abc.abstractmethod
     def left(self) -> float:
-        """Estimated work to reach the tolerance if errors fall as before, microseconds."""
+        """Estimated cost to reach the tolerance if errors fall as before, microseconds."""
 
     @property
     @abc.abstractmethod
     def words(self) -> str:
-        """A sentence that says why the result can be trusted, or how far."""
+        """A sentence that says why, or how far, the result can be trusted."""
 
     @abc.abstractmethod
     def judged(self) -> list[Estimate]:
-        """Return the wanted vectors with bars; none as long as runs do not tell."""
+        """Return the wanted vectors with error bars; empty as long as the runs do not suffice."""
 
     def take(self, sample: Sample) -> None:
-        """Add a run and judge the sequence, which begins anew after a run that failed."""
+        """Add a run and update the estimates; after a failed run the sequence starts anew."""
         self.samples = [*self.samples, sample] if sample.vectors else []
         self._judge()
 
     @property
     @abc.abstractmethod
     def chosen(self) -> int:
-        """Steps of the last run, without those that stops asked for."""
+        """Number of steps of the last run, less the number of stops."""
 
     @abc.abstractmethod
     def follows(self, places: Places) -> bool:
-        """Return whether the last run follows the sharp places of its path."""
+        """Return whether the last run resolves the sharp places of its path."""
 
     @property
     def stops_there(self) -> bool:
-        """Whether runs stop in sharp places, and each knows more closely where they are."""
+        """Whether the runs stop in sharp places, whose position each run knows more closely."""
         return False
 
     def mind(self, places: Places) -> None:
-        """Follow sharp places from now on, and judge again."""
+        """Resolve the given sharp places from the next run on, and update the estimates."""
         self._judge()
 
     @final
@@ -166,84 +189,84 @@ class Runs(abc.ABC):
 
     @final
     def relative(self, parts: Sequence[Array], of: Sequence[Array]) -> float:
-        """Return the largest norm of some vectors, relative to the sizes of others."""
+        """Return the largest norm of the vectors `parts`, relative to the sizes of `of`."""
         norms = [float(np.linalg.norm(x)) for x in parts]
         pairs = zip(norms, self._sizes(of), strict=True)
         return max((_over(x, size) for x, size in pairs), default=0.0)
 
     @final
     def apart(self, other: Runs) -> float:
-        """Return the distance of the last run from the estimate of the other kind of runs."""
+        """Return the relative distance of the last run from the estimates of another sequence."""
         estimates = [y.x for y in other.estimates]
         gaps = [x - y for x, y in zip(self.samples[-1].vectors, estimates, strict=True)]
         return self.relative(gaps, estimates)
 
     @final
     def agrees(self, other: Runs) -> bool:
-        """Whether the last run agrees with the estimate of the other kind; True without one."""
+        """Return whether the last run agrees with the estimates of `other`; True without any."""
         allowed = _CONTRADICTS * other.error + self._tolerance
         return not other.estimates or self.apart(other) <= allowed
 
 
 def _over(x: float, size: float) -> float:
-    """Return x over a size; as good as infinite over nothing."""
+    """Return x over a size; _BEYOND, as good as infinite, where the size is zero."""
     return 0.0 if x == 0 else x / size if size > x / _BEYOND else _BEYOND
 
 
 # -- fixed steps -------------------------------------------------------------------------------
 
 
-# States and their derivatives of a run at fixed steps, bytes.
+# Most memory of the states and their derivatives of a run at fixed steps, bytes.
 _MEMORY = 5e8
 # Least factor of the steps from a run to the next.
 _LEAST = 1.4
-# Errors over the tolerance of two runs that do not resolve waves, at least: they may agree by
-# chance in all that is wanted.
+# Least error bar over the tolerance from two runs that do not resolve waves, which may agree by
+# chance.
 _DOUBTED = 2.0
 
 
 class FixedStepRuns(Runs):
-    """Runs of one integrator at fixed steps, each finer than the one before."""
+    """Runs of one integrator at fixed steps, each with more steps than the one before."""
 
     order: ClassVar[int]
     _taken = 0
-    # Steps that follow sharp places, and that jump over no kink.
+    # Number of steps that resolve sharp places, and number with which none jumps over a kink.
     _following_places = _kinks = 0
 
     @property
     def counts(self) -> list[int]:
-        """Steps of the runs."""
+        """Numbers of steps of the runs."""
         return [x.steps for x in self.samples]
 
     @property
     def count(self) -> int:
-        """Steps of the next run."""
+        """Number of steps of the next run."""
         return max(self._planned, self._taken + 1)
 
     @property
     @abc.abstractmethod
     def _planned(self) -> int:
-        """Steps that the next run should have."""
+        """Number of steps planned for the next run."""
 
     @property
     @final
     def work(self) -> float:
-        """Estimated work of the next run, microseconds; infinite if its states exceed _MEMORY."""
+        """Estimated cost of the next run, microseconds; infinite if its states exceed _MEMORY."""
         row = 8.0 * (3 * self._n + self._system.n_lam) * (1 + self._system.n_b)
         return self._work(self.count) if self.count * row < _MEMORY else math.inf
 
     def take(self, sample: Sample) -> None:
-        """Add a run and note its number of steps."""
+        """Add a finished run to the sequence and store its number of steps."""
         self._taken = self.count
         super().take(sample)
 
     @property
     def chosen(self) -> int:
-        """Steps of the last run."""
+        """Number of steps of the last run."""
         return self.counts[-1]
 
     def follows(self, places: Places) -> bool:
-        """Return whether no place lies between the steps of the last run; kinks are known."""
+        """Return whether the last run has enough steps to resolve the sharp places and kinks."""
         return places.steps <= self.counts[-1] and places.kinks <= self._kinks
 
     @property
@@ -252,13 +275,13 @@ class FixedStepRuns(Runs):
         return bool(self.samples) and self.counts[-1] < self._kinks
 
     def mind(self, places: Places) -> None:
-        """Take as many steps as follow the places."""
+        """Use enough steps to resolve the given sharp places from the next run on."""
         self._following_places = max(self._following_places, places.steps)
         self._kinks = max(self._kinks, places.kinks)
         super().mind(places)
 
     def _growth(self, order: float, most: float) -> float:
-        """Return the factor of the number of steps that leads to the tolerance, at most `most`."""
+        """Return the factor of steps that leads to the tolerance, at most `most`."""
         error = (
             self.error if self.estimates else self.relative(self._gaps, self.samples[-1].vectors)
         )
@@ -267,7 +290,7 @@ class FixedStepRuns(Runs):
 
     @property
     def _gaps(self) -> list[Array]:
-        """Differences of the last two runs."""
+        """Differences of the wanted vectors between the last two runs."""
         before, after = (x.vectors for x in self.samples[-2:])
         return [y - x for x, y in zip(before, after, strict=True)]
 
@@ -277,7 +300,7 @@ class FixedStepRuns(Runs):
 
     @abc.abstractmethod
     def _of_a_step(self, steps: float) -> float:
-        """Return the measured work of one step, microseconds, in a run of `steps` steps."""
+        """Return the measured cost of a step, microseconds, in a run of `steps` steps."""
 
     @property
     @abc.abstractmethod
@@ -286,13 +309,13 @@ class FixedStepRuns(Runs):
 
     @property
     def words(self) -> str:
-        """Whether waves are resolved."""
+        """A sentence that says whether waves are resolved."""
         if not self.resolved:
             return f"{self.name} does not resolve all waves; bars are those of its differences"
         return f"{self.name} resolves all waves of the derivatives; errors fall with its order"
 
     def judged(self) -> list[Estimate]:
-        """Compare the runs; add what they may miss by waves that they damp."""
+        """Return estimates from the runs, with bars widened by the errors from damped waves."""
         if len(self.samples) < 2 or self.counts[-2] < self.least:
             return []
         estimates = [
@@ -310,15 +333,15 @@ class FixedStepRuns(Runs):
 
     @property
     def least(self) -> int:
-        """Steps below which laws or objectives have features that runs pass over."""
+        """Number of steps below which runs pass over features of laws or objectives."""
         return max(self._wanted.features.steps, self._following_places)
 
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
-        """Judge a vector of the last two to five runs."""
+        """Return the error estimate of a result vector from its values in the last runs."""
         ordered = self.resolved and not self.bent
         return refined(runs[-3:], self.counts[-3:], self.order, ordered, self._wanted.along)
 
     @property
     @abc.abstractmethod
     def lost(self) -> list[Array]:
-        """Possible errors of the vectors by waves that numerical damping removes; empty if none."""
+        """Possible errors of the vectors by waves that numerical damping removes; or empty."""

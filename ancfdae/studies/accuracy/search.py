@@ -1,6 +1,7 @@
-"""Numbers to a tolerance: gradients of objectives, and observables at given times.
+"""Calls with a tolerance: gradients of objectives, and observables at given times.
 
-The search goes on with the kind of runs that promises to reach the tolerance with the least work.
+The search continues the sequence of runs that is predicted to reach the tolerance at the least
+cost.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import scipy
 
 from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.equations.derived import design_sizes
+from ancfdae.equations.event_solution import EventSolution
 from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_each, require_flag, require_positive
 from ancfdae.errors.kinds import (
@@ -55,20 +57,22 @@ from ancfdae.studies.accuracy.runs import Measure, Runs, Sample, Wanted
 from ancfdae.studies.accuracy.waves import speed
 from ancfdae.studies.parts import instants
 
-# Most work of a search, about as many microseconds.
+# Largest cost of a search, microseconds.
 _MOST = 4e7
-# Work after which a look at the path of HHT-I3 may show why no run is good enough.
+# Cost, microseconds, after which the path of HHT-I3 is searched for sharp places, which may explain
+# why no run is accurate enough.
 _EARLY = 5e5
-# Times that runs begin again because a path has sharp places which they passed over.
+# Most restarts of the sequences because runs passed over sharp places of their paths.
 _LOOKS = 12
-# Share of the work foreseen that a run may take which may show that less is needed.
+# Largest cost of an HHT run, over the predicted cost, that is made because it may show that less is
+# needed.
 _WORTH = 0.1
 
 
 @final
 @dataclass(frozen=True)
 class Found:
-    """Estimates of the wanted vectors, the last result of their kind of runs, and the way there."""
+    """Result of a search: error estimates of the wanted vectors, last result, and all runs."""
 
     estimates: list[Estimate]
     result: object
@@ -81,17 +85,17 @@ class Found:
 @final
 @dataclass(frozen=True)
 class _Spent:
-    """Runs of a search: their kind, their values, and their work."""
+    """Runs of a search: sequence, result and cost of each."""
 
     runs: list[tuple[Runs, Trial, float]]
 
     @property
     def work(self) -> float:
-        """Work of all runs."""
+        """Predicted cost of all runs of the search, microseconds."""
         return sum(work for _, _, work in self.runs)
 
     def take(self, runs: Runs, measure: Measure) -> Sample:
-        """Make and judge the next run of one kind of runs."""
+        """Make the next run of a sequence, add it there, and return it."""
         setting, work, clock = runs.setting, runs.work, stopwatch()
         sample = measure(setting)
         runs.take(sample)
@@ -100,7 +104,7 @@ class _Spent:
         return sample
 
     def price(self, runs: Runs, left: float) -> str:
-        """Return in words what the tolerance costs by a kind of runs."""
+        """Return in words the cost of the tolerance by a sequence of runs."""
         seen = "" if math.isinf(runs.error) else f" (at {runs.error:.1g})"
         if math.isinf(left) or left > 1e3 * _MOST:
             return f"{runs.name}{seen} out of reach"
@@ -111,7 +115,7 @@ class _Spent:
 def _out_of_reach(
     spent: _Spent, ways: dict[Runs, float], seer: HHTRuns, tolerance: float
 ) -> InvalidInputError:
-    """Return the refusal of a search whose runs do not follow what happens, and say no error."""
+    """Return the error for a search whose runs cannot resolve the motion and give no error bar."""
     costs, steps = "; ".join(spent.price(*x) for x in ways.items()), seer.transitions.steps
     if steps and seer.least >= steps:
         return InvalidInputError(
@@ -137,14 +141,14 @@ def search(
 ) -> Found:
     """Search for the wanted accuracy; warn if it is out of reach.
 
-    `DOP853` reports its first run on this number of intervals, and takes no part if that is None.
-    `level` is the stack level of the warning, as in `warnings.warn`.
+    `DOP853` reports its first run on this number of intervals, and is not used if `intervals` is
+    None. `level` is the stack level of the warning, as in `warnings.warn`.
     """
     seer = HHTRuns(wanted)
     others: list[Runs] = [RadauRuns(seer, wanted)]
     others += [] if intervals is None else [DOP853Runs(seer, intervals, wanted)]
     with warnings.catch_warnings():
-        # Coarse runs are there to be compared, and short steps in sharp places are meant.
+        # Coarse runs are made only to be compared, and short steps in sharp places are intended.
         for kind in (StabilityWarning, ManyStepsWarning):
             warnings.simplefilter("ignore", kind)
         found = _search(seer, others, measure, wanted.tolerance, witness)
@@ -157,10 +161,10 @@ def search(
 def _search(
     seer: HHTRuns, others: Sequence[Runs], measure: Measure, tolerance: float, witness: Witness
 ) -> Found:
-    """Run integrators until one reaches the tolerance or the next run would exceed the work limit.
+    """Run integrators until one reaches the tolerance or the next run would exceed the cost limit.
 
-    A run that passed over a sharp place reached nothing. All then follow the places of its path.
-    If no run gave an estimate, the last exception is raised again.
+    A run that passed over a sharp place does not count; all sequences then resolve the places of
+    its path. If no run gave an estimate, the last exception is raised again.
     """
     kinds: list[Runs] = [seer, *others]
     spent, failures, ways = _Spent([]), list[Exception](), dict[Runs, float]()
@@ -206,7 +210,7 @@ def _search(
             failures[-1] if failures and not ended else _out_of_reach(spent, ways, seer, tolerance)
         )
     reached = best.error <= tolerance
-    # What was foreseen before the last run.
+    # Costs as predicted before the last run.
     left = "; ".join(spent.price(*x) for x in ways.items() if not reached or x[0] is not best)
     why = f"{best.words}. {'Not taken' if reached else 'To the tolerance'}: {left}."
     return _found(spent, best, best.estimates, reached, why)
@@ -219,7 +223,7 @@ def _found(spent: _Spent, best: Runs, estimates: list[Estimate], reached: bool, 
 
 
 def _passed_over(spent: _Spent, best: Runs, why: str) -> Found:
-    """Return the estimates without bars: no run followed the sharp places of its path."""
+    """Return estimates with infinite bars: no run resolved the sharp places of its path."""
     unknown = [Estimate(x, np.full(x.shape, np.inf)) for x, _ in best.estimates]
     return _found(spent, best, unknown, False, f"{why}.")
 
@@ -227,10 +231,11 @@ def _passed_over(spent: _Spent, best: Runs, why: str) -> Found:
 # -- gradients ---------------------------------------------------------------------------------
 
 
-# Up to _DIRECT variables HHT differentiates directly, which also shows whether waves are resolved.
+# Most variables with which HHT uses direct differentiation, which also shows whether waves are
+# resolved.
 _DIRECT = 6
-# Intervals of high order where objectives read the end only, and else, or where
-# forces may have sharp places along the path.
+# Output intervals of DOP853 where objectives read the end only, and otherwise, or where forces may
+# have sharp places along the path.
 _FEW, _MANY = 4, 64
 
 
@@ -242,7 +247,10 @@ def gradients_within(
     method: GradientMethod | None,
     progress: bool,
 ) -> list[Gradient]:
-    """Return values and gradients with bars below the tolerance, or a warning and the best."""
+    """Return values and gradients with error bars within the tolerance, or the best ones.
+
+    A warning says that the tolerance was not reached.
+    """
     require_tolerance(tolerance)
     scale = design_sizes(system)
 
@@ -262,13 +270,13 @@ def gradients_within(
         few = read_at_end(system, objectives, t_end) and not witness.looks
         intervals = _FEW if few else _MANY
     reached = search(wanted, measure, witness, intervals, 4)
-    return _results(reached, scale, tolerance)
+    return with_bars(reached, scale, tolerance)
 
 
 def _wanted(
     system: MechanicalSystem, objectives: Sequence[Objective], t_end: float, tolerance: float
 ) -> Wanted:
-    """Return the task of the search for objectives."""
+    """Return the task of a search for objectives and their gradients."""
 
     def numbers(states: States) -> list[Array]:
         with np.errstate(all="ignore"):
@@ -286,7 +294,7 @@ def _wanted(
         problem,
         t_end,
         tolerance,
-        _paired_norms,
+        paired_norms,
         numbers,
         integrated,
         partials,
@@ -297,7 +305,7 @@ def _wanted(
 
 
 def require_tolerance(tolerance: float) -> None:
-    """Refuse a tolerance that means nothing or that round-off is above."""
+    """Raise InvalidInputError unless a tolerance lies between 1e-11 and 0.1."""
     require_positive("tolerance", tolerance)
     if not 1e-11 <= tolerance <= 0.1:
         raise InvalidInputError(
@@ -317,15 +325,15 @@ def _seen(objectives: Sequence[Objective]) -> tuple[Seen, ...]:
     return tuple(Seen(x.observable, getattr(x, "sharpness", None)) for x in over)
 
 
-def _paired_norms(vectors: Sequence[Array]) -> list[float]:
-    """Return the sizes for pairs of a value and a scaled gradient."""
-    norms = _norms(vectors)
-    pairs = zip(norms[::2], norms[1::2], strict=True)
+def paired_norms(vectors: Sequence[Array]) -> list[float]:
+    """Return the sizes to which errors of pairs of a value and a scaled gradient are relative."""
+    sizes = norms(vectors)
+    pairs = zip(sizes[::2], sizes[1::2], strict=True)
     return [size for value, slope in pairs for size in (max(value, slope), slope)]
 
 
-def _results(reached: Found, scale: Array, tolerance: float) -> list[Gradient]:
-    """Put the estimates into the results of the finest run."""
+def with_bars(reached: Found, scale: Array, tolerance: float) -> list[Gradient]:
+    """Return the results of the finest run with the estimates and their accuracy."""
     results, done = reached.result, []
     assert isinstance(results, list)
     for each, value, slope in zip(
@@ -348,7 +356,7 @@ def _results(reached: Found, scale: Array, tolerance: float) -> list[Gradient]:
 # -- observables -------------------------------------------------------------------------------
 
 
-# Instants of a run where none are asked for, and intervals of those of high order.
+# Default number of output times, and number of intervals of DOP853.
 _INSTANTS, _INTERVALS = 65, 64
 
 
@@ -357,26 +365,26 @@ _INSTANTS, _INTERVALS = 65, 64
 class ObservableEstimates(ToleranceSearch):
     """Values of observables at given times with estimated bounds of their errors.
 
-    The tolerance is relative: of each observable the norm of its error over the instants, to the
-    norm of its values there.
+    The tolerance is relative: for each observable the norm of its error over the times, divided by
+    the norm of its values.
 
     Attributes
     ----------
     t : array, shape (n,)
         Times of the values; s.
     values, bars : array, shape (n, n_observables)
-        The bars are estimated bounds of the errors, no proofs. Values may be extrapolated from
-        several runs; they are then better than those of the solution.
-    solution : Solution
+        Values, and estimated bounds of their errors, which are not proven. Values may be
+        extrapolated from several runs; they are then better than those of the solution.
+    solution : Solution or EventSolution
         The finest run of the chosen kind.
     tolerance : float
-        The tolerance that was asked for; relative.
+        The requested tolerance; relative.
     reached : bool
-        Whether all bars are within it.
+        Whether all error bars are within it.
     integrator : Integrator
         The integrator of the finest run of the chosen kind.
     why : str
-        The reason for this integrator, or why the tolerance is out of reach and its price.
+        The reason for this integrator, or why the tolerance is out of reach and its cost.
     trials : tuple of Trial
         All runs in their order.
     seconds : float
@@ -386,10 +394,10 @@ class ObservableEstimates(ToleranceSearch):
     t: Array
     values: Array
     bars: Array
-    solution: Solution
+    solution: Solution | EventSolution
 
     def to_dataframe(self) -> Any:
-        """Return values and bars over time as a table of pandas, with t as its index."""
+        """Return values and bars over time as a pandas table with index t, s."""
         names = range(self.values.shape[1])
         table = dict(zip(map(str, names), self.values.T, strict=True))
         table |= {f"bar of {k}": bar for k, bar in zip(names, self.bars.T, strict=True)}
@@ -411,12 +419,11 @@ def observed_within(
     tolerance: float,
     progress: bool,
 ) -> ObservableEstimates:
-    """Return observables with bars below the tolerance, or a warning and the best."""
+    """Return observables with error bars within the tolerance, or the best ones and a warning."""
     require_positive("t_end", t_end)
     require_tolerance(tolerance)
     require_flag("progress", progress)
-    asked = _checked(observables, system)
-    times = np.linspace(0.0, t_end, _INSTANTS) if at is None else instants("at", at, t_end)
+    asked, times = asked_for(observables, at, system, t_end)
 
     def measure(integrator: Integrator) -> Sample:
         run = uninterrupted(integrator.integrate(system, t_end, progress=progress))
@@ -431,11 +438,16 @@ def observed_within(
     problem, none = InitialValueProblem.of(system, t_end), [False] * len(asked)
     fast = features(problem, (), t_end)
     wanted = Wanted(
-        problem, t_end, tolerance, _norms, numbers, none, None, True, fast, speed(problem)
+        problem, t_end, tolerance, norms, numbers, none, None, True, fast, speed(problem)
     )
     witness = Witness(system, tuple(map(Seen, asked)), tolerance)
     reached = search(wanted, measure, witness, _INTERVALS, 3)
-    assert isinstance(reached.result, Solution)
+    return estimates_of(reached, tolerance, times)
+
+
+def estimates_of(reached: Found, tolerance: float, times: Array) -> ObservableEstimates:
+    """Put the estimates of a search beside its finest run."""
+    assert isinstance(reached.result, Solution | EventSolution)
     values, bars = (
         np.stack(x, axis=1) for x in zip(*((e.x, e.bar) for e in reached.estimates), strict=True)
     )
@@ -443,10 +455,17 @@ def observed_within(
     return ObservableEstimates(*told, times, values, bars, reached.result)
 
 
-def _checked(
-    observables: Sequence[Observable] | None, system: MechanicalSystem
-) -> Sequence[Observable]:
-    """Return the observables. Raise InvalidInputError if they are empty or not in the system."""
+def asked_for(
+    observables: Sequence[Observable] | None,
+    at: Sequence[float] | Array | None,
+    system: MechanicalSystem,
+    t_end: float,
+) -> tuple[Sequence[Observable], Array]:
+    """Return the observables and their times.
+
+    Raise InvalidInputError if there are no observables, if one is not in the system, or if times do
+    not ascend within the run.
+    """
     repair = "For example observables=[position(rod.at_end, 0)]."
     named = () if observables is None else observables
     wanted = require_each("observables", named, (Observable,), repair)
@@ -454,14 +473,15 @@ def _checked(
         raise InvalidInputError("observables", "must be named for a tolerance", "none", repair)
     for each in wanted:
         each.check(system)
-    return wanted
+    times = np.linspace(0.0, t_end, _INSTANTS) if at is None else instants("at", at, t_end)
+    return wanted, times
 
 
 def _interpolated(values: Array, run: States, times: Array) -> Array:
-    """Return values of all instants of a run at other times, with an error of higher order.
+    """Return values of a run interpolated at other times, with an error of higher order.
 
-    Splines go through the ends of steps: cubic ones for order 2, quintic ones for order 5.
-    Instants of high order have the polynomials of their panels.
+    Splines pass through the ends of steps: cubic ones for order 2, quintic ones for order 5. Runs
+    of high order are interpolated by the polynomials of their panels.
     """
     if run.degree == LOBATTO_DEGREE:
         grid = TimeGrid(run.t, run.degree)
@@ -472,5 +492,6 @@ def _interpolated(values: Array, run: States, times: Array) -> Array:
     return np.asarray(spline(times))
 
 
-def _norms(vectors: Sequence[Array]) -> list[float]:
+def norms(vectors: Sequence[Array]) -> list[float]:
+    """Return the Euclidean norms of vectors."""
     return [float(np.linalg.norm(each)) for each in vectors]

@@ -1,23 +1,23 @@
-"""Waves that numerical damping takes away from a run, and what its numbers miss without them.
+"""Waves that numerical damping removes from a run, and the errors of numbers that this causes.
 
-A wave of the frequency omega is damped by rho(omega h) < 1 in a step of HHT-I3, by (1 + alpha)/(1 -
-alpha) where omega h >> 1. Runs that have lost it agree with each other. What is left of it is its
-beginning: in the accelerations it has its true amplitude for the first steps, whatever these are,
-and the largest second differences s hold it (the least of four in a row counts: a kink makes two or
+A wave of frequency omega is damped by rho(omega h) < 1 in a step of HHT-I3, by (1 + alpha)/(1 -
+alpha) where omega h >> 1. Runs that have lost it agree with each other. Only its beginning remains:
+in the accelerations it has its true amplitude for the first steps, of whatever size, and the
+largest second differences s contain it (the least of four in a row counts: a kink makes two or
 three). From s follow the amplitude x of the wave, its frequency and its physical decay c,
 
     K x + Phi_q^T mu = M s/(2 sin^2(theta/2)),   tan(theta/2) = omega h/2,
     omega^2 = x^T K x / x^T M x,                 c = x^T D x / 2 x^T M x
 
-(twice what a single wave has). The wave is x cos(omega t) e^(-c t); a run has x cos(omega t)
-rho^(t/h) of it, rho(omega h, c h) with the physical damping in the recurrence. Each is added to the
-states of the run: by what the numbers of the two differ is what the run may miss. A wave that
-physical damping takes away faster than the recurrence does changes little. The derivative of the
-phase, omega t / 2, comes from another frequency.
+(twice the amplitude of a single wave). The wave is x cos(omega t) e^(-c t); a run contains x
+cos(omega t) rho^(t/h), with rho(omega h, c h) of the recurrence with physical damping. Each is
+added to the states of the run: the difference of the numbers computed from the two is the possible
+error of the run. A wave that physical damping removes faster than numerical damping changes little.
+The derivative of the phase, omega t / 2, comes from another frequency.
 
-**Motions that fade.** A method that damps waves may be believed where physics damps them too, and
-does so faster. The waves of a run show the largest one only; the eigenvalues s of M s^2 + D s + K
-on the motions that constraints leave, about the start of a run, show all.
+**Motions that fade.** A method that damps waves may be used where physics damps them too, and does
+so faster. The waves of a run show the largest one only; the eigenvalues s of M s^2 + D s + K on the
+motions that constraints permit, about the start of a run, show all.
 """
 
 from __future__ import annotations
@@ -37,18 +37,19 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.objectives.objective import ObjectivePartials
 from ancfdae.sensitivity.observables.observable import States, states_of
 
-# Second differences in a row of which the least counts.
+# Number of second differences in a row of which the least counts.
 _ROW = 4
-# Amplitude in the accelerations over that of a single wave with these second differences.
+# Assumed amplitude over the amplitude of a single wave with these second differences.
 _AT_MOST = 2.0
-# Waves of less than this angle per step are part of the smooth motion.
+# Waves of less than this angle per step, rad, are part of the smooth motion.
 _SMOOTH = 0.05
-# Waves of less than this angle per step are followed; the recurrence is close to a double root.
+# Waves of less than this angle per step, rad, count as resolved; the recurrence has nearly a double
+# root there.
 _FINE = 1e-3
-# Share of a wave whose loss does not count.
+# Largest fraction of a wave, or phase error in rad, whose loss does not count.
 _KEPT = 0.02
-# Phases at which a wave is tried, its angle per step in integrals, where the steps sample it, and
-# the change of its phase at the end of the run in another frequency.
+# Phases of a wave that are tried, rad; largest angle per step of a sampled wave, rad; and phase
+# difference at the end of the run that a perturbed frequency makes, rad.
 _PHASES, _ANGLE, _TURN = (0.3, 0.3 + math.pi / 2), 1.9, 1e-2
 # Logarithmic derivative of a frequency in a design variable: 1/2 for moduli and densities, 1 for
 # heights.
@@ -61,7 +62,7 @@ Partials = Callable[[States], Sequence[ObjectivePartials]]
 
 @final
 class Wave(NamedTuple):
-    """A wave from an instant on: amplitudes of q and lam, frequency and damping c, 1/s."""
+    """A wave from the time `begin` on: amplitudes of q and lam, frequency and damping c, 1/s."""
 
     begin: float
     q: Array
@@ -71,7 +72,7 @@ class Wave(NamedTuple):
 
     @property
     def decay(self) -> float:
-        """Rate of decay; an overdamped motion has that of the slower one of its two; 1/s."""
+        """Rate of decay, 1/s; of an overdamped motion the slower one of its two rates."""
         c = self.damping
         if c <= self.speed:
             return c
@@ -83,13 +84,13 @@ class Wave(NamedTuple):
         return max(-math.log(rho), 0.0) / h
 
     def missed(self, t_end: float, steps: float, alpha: float) -> float:
-        """Return the largest share of the amplitude by which a run errs at any time."""
+        """Return the largest fraction of the amplitude by which a run errs at any time."""
         kept = self.kept(t_end / steps, alpha)
         t = np.geomspace(1e-3 * min(1 / max(self.decay, kept, 1 / t_end), t_end), t_end, 50)
         return float(np.abs(np.exp(-self.decay * t) - np.exp(-kept * t)).max())
 
     def turned(self, t_end: float, steps: float) -> float:
-        """Return about how far the phase of a run of HHT-I3 is off while the wave lasts.
+        """Return the approximate phase error of a run of HHT-I3, rad, while the wave lasts.
 
         It is omega^3 h^2 t (1/12 - alpha/4 - ...): chapter 13 of the theory.
         """
@@ -97,14 +98,14 @@ class Wave(NamedTuple):
         return self.speed * lasts * (self.speed * t_end / steps) ** 2 / 10
 
     def over(self, t: Array, angle: float, phase: float, decay: float) -> tuple[Array, Array]:
-        """Return cosine and sine over time of a wave with another frequency, `angle`, and decay."""
+        """Return cosine and sine at times t of a wave of frequency `angle`, rad/s, with decay."""
         t = t - self.begin
-        # The beginning is part of the run.
+        # The beginning of the wave is part of the run.
         size = (t > 0) * np.exp(-decay * np.maximum(t, 0.0))
         return size * np.cos(angle * t + phase), size * np.sin(angle * t + phase)
 
     def added(self, states: States, angle: float, phase: float, decay: float) -> States:
-        """Return the states with the wave as one of another frequency, `angle`, and decay."""
+        """Return the states with this wave added, at the frequency `angle`, rad/s, and decay."""
         cos, sin = self.over(states.t, angle, phase, decay)
         q, lam = states.q + np.outer(cos, self.q), states.lam + np.outer(cos, self.lam)
         v = states.v - self.speed * np.outer(sin, self.q)
@@ -112,17 +113,16 @@ class Wave(NamedTuple):
 
 
 class Missed(NamedTuple):
-    """Possible errors by a wave: of a number and of its logarithmic derivatives."""
+    """Possible errors by a wave: of a number and of its logarithmic design derivatives."""
 
     value: Array
     slope: Array
 
 
 class Lost(NamedTuple):
-    """Errors of numbers by waves that steps do not resolve.
+    """Possible errors of numbers by waves that steps do not resolve.
 
-    `parts` is what a run misses by its numerical damping, `whole` is all that the waves which it
-    does not resolve change.
+    `parts` are errors from numerical damping, `whole` the entire effect of the unresolved waves.
     """
 
     parts: list[Missed]
@@ -132,9 +132,9 @@ class Lost(NamedTuple):
 class Unresolved(NamedTuple):
     """A wave that a run does not resolve, of the motion or of its derivative in a variable.
 
-    The variable is -1 for the motion. `kept` is the rate of decay in the run; `lost` says that it
-    has another amplitude there, `damped` that it is taken away faster than physics does: one that
-    lasts longer than it should shows in the differences of runs.
+    The variable is -1 for the motion. `kept` is the rate of decay in the run, 1/s; `lost` says that
+    the run has another amplitude of it, `damped` that the run damps it faster than physics does. A
+    wave that lasts longer than it should shows in the differences of runs.
     """
 
     variable: int
@@ -144,19 +144,19 @@ class Unresolved(NamedTuple):
 
     @property
     def damped(self) -> bool:
-        """Whether the run takes the wave away, and does so faster than physics."""
+        """Whether the run damps the wave, and faster than physics does."""
         return self.lost and self.kept > self.wave.decay
 
 
 def _rows(run: Solution) -> list[Array]:
-    """Return accelerations, and their derivatives in each variable if the run has them."""
+    """Return accelerations, (n_t, n_q), and their derivatives in each variable if present."""
     if run.sensitivities is None:
         return [run.a]
     return [run.a, *np.moveaxis(run.sensitivities.a_b, 2, 0)]
 
 
 def _lasting(a: Array, weights: Array) -> Array:
-    """Return the least of second differences in a row, beginning at every instant."""
+    """Return the least norm of _ROW successive second differences of a, at each time point."""
     sizes = np.sqrt(np.diff(a, n=2, axis=0) ** 2 @ weights)
     if len(sizes) < _ROW:
         return np.zeros(0)
@@ -164,10 +164,10 @@ def _lasting(a: Array, weights: Array) -> Array:
 
 
 def radius(angle: float, alpha: float, damped: float = 0.0) -> float:
-    """Return by what HHT-I3 multiplies a wave of omega h = `angle`, 2 c h = `damped` in a step.
+    """Return the factor of HHT-I3 per step on a wave of omega h = `angle`, 2 c h = `damped`.
 
-    The largest eigenvalue in size of the recurrence of (q, h v, h^2 a) of q'' + 2 c q' + omega^2 q
-    = 0.
+    It is the largest eigenvalue in magnitude of the recurrence of (q, h v, h^2 a) of q'' + 2 c q' +
+    omega^2 q = 0.
     """
     gamma, beta, W, D = 0.5 - alpha, (1 - alpha) ** 2 / 4, angle**2, damped
     # q' = q + v + (1/2 - beta) a + beta a', v' = v + (1 - gamma) a + gamma a',
@@ -180,7 +180,7 @@ def radius(angle: float, alpha: float, damped: float = 0.0) -> float:
 def waves_of(problem: InitialValueProblem, run: Solution) -> dict[int, Wave]:
     """Return the largest waves in the accelerations and in their derivatives, by variable.
 
-    The motion has the number -1. Waves that cannot be found are left out.
+    The motion has the number -1. Waves that cannot be computed are left out.
     """
     rows, places = _rows(run), dict[int, int]()
     for j, a in enumerate(rows, -1):
@@ -212,7 +212,7 @@ def _wave(
     s: Array,
     step: tuple[float, float],
 ) -> Wave | None:
-    """Return the wave of second differences s in a step (t, h); None if it cannot be found."""
+    """Return the wave of second differences s in a step (t, h); None if it cannot be computed."""
     (M, K, D, Phi_q), (t, h), n_q = matrices, step, problem.system.n_q
     dot = problem.system.pattern.dot
     try:
@@ -231,7 +231,7 @@ def _wave(
 
 
 def followed(waves: Sequence[Wave], t_end: float, alpha: float, at_least: float) -> float:
-    """Return the steps, `at_least` times a power of 1.4, that keep waves as long as they last."""
+    """Return a number of steps, `at_least` times 1.4^n, that keeps waves as long as they last."""
     steps = at_least
     while any(
         wave.speed * t_end / steps > _FINE and wave.missed(t_end, steps, alpha) > _KEPT
@@ -244,7 +244,7 @@ def followed(waves: Sequence[Wave], t_end: float, alpha: float, at_least: float)
 def unresolved(
     problem: InitialValueProblem, run: Solution, alpha: float, phases: bool
 ) -> list[Unresolved]:
-    """Return the waves that a run does not resolve; with `phases` also those whose phase is off."""
+    """Return the waves that a run does not resolve; with `phases` also those of wrong phase."""
     T, steps = float(run.t[-1]), len(run.t) - 1
     found = list[Unresolved]()
     for j, wave in waves_of(problem, run).items():
@@ -262,8 +262,8 @@ def missed(
 ) -> Lost:
     """Return possible errors of numbers by waves that a run does not resolve.
 
-    Asked are numbers, whether each is an integral over the instants, which sees the mean of a wave,
-    and the partials of the numbers, with which waves of derivatives are weighed.
+    `asked` holds the numbers, whether each is an integral over time, in which a wave averages out,
+    and the partials of the numbers, which weigh waves of derivatives.
     """
     numbers, integrated, partials = asked
     states = states_of(run)
@@ -286,7 +286,7 @@ def _of_the_motion(
     asked: tuple[Numbers, Sequence[Array], Sequence[bool]],
     lost: Lost,
 ) -> None:
-    """Add what numbers and their derivatives miss by a wave of the motion."""
+    """Add possible errors of numbers and their derivatives by a wave of the motion to `lost`."""
     (numbers, plain, integrated), wave = asked, found.wave
     h, T = float(states.t[1] - states.t[0]), float(states.t[-1])
     angle = min(wave.speed, _ANGLE / h)
@@ -312,7 +312,7 @@ def _of_a_derivative(
     scale: float,
     lost: Lost,
 ) -> None:
-    """Add what derivatives of numbers miss by a wave of a derivative of the motion."""
+    """Add to `lost` the possible errors by a wave in a design derivative of the motion."""
     wave, j = found.wave, found.variable
     angle = min(wave.speed, _ANGLE / float(states.t[1] - states.t[0]))
     for k, each in enumerate(partials):
@@ -340,20 +340,20 @@ def _of_a_derivative(
 # -- motions that fade -------------------------------------------------------------------------
 
 
-# Coordinates up to which dense matrices take milliseconds.
+# Most coordinates with which dense matrices take milliseconds.
 _DENSE: Final = 60
-# Steps of HHT-I3 resolve motions of less than this, |s| h.
+# Largest |s| h of motions that steps of HHT-I3 resolve.
 _RESOLVED: Final = 0.5
-# Instants at which the spectrum of a run is taken.
+# Number of times at which the spectrum of a run is computed.
 _PLACES: Final = 7
-# Fraction of its amplitude that a motion may keep to the end of a run, as a logarithm.
+# Logarithm of the largest remaining amplitude of a motion that has faded at the end of a run.
 _FADED: Final = -5.0
 
 
 def fades(system: MechanicalSystem, run: Solution) -> bool:
     """Return whether all motions about the start that steps do not resolve die out in the run.
 
-    False if there are none, or more coordinates than dense matrices are made for.
+    False if there are none, or more than _DENSE coordinates.
     """
     spectra = _spectra(system, run, 1) if len(run.t) > 2 else []
     if not spectra:
@@ -364,7 +364,7 @@ def fades(system: MechanicalSystem, run: Solution) -> bool:
 
 
 def speed(problem: InitialValueProblem) -> float:
-    """Return the largest |s| about the start; zero where nothing vibrates; 1/s."""
+    """Return the largest |s| of motions e^(s t) about the start, 1/s; zero without vibration."""
     from ancfdae.modes.linearised import LinearisationPoint
     from ancfdae.modes.periods import fastest
 
@@ -377,16 +377,16 @@ def speed(problem: InitialValueProblem) -> float:
 
 
 def pace(system: MechanicalSystem, run: Solution) -> float | None:
-    """Return the largest |s| about the motion, its mean over instants of a run; 1/s.
+    """Return the mean over a run of the largest |s| of motions e^(s t) about its states, 1/s.
 
-    None where `fades` cannot tell.
+    None if the spectra are not known (`_spectra`).
     """
     spectra = _spectra(system, run, *np.linspace(0, len(run.t) - 1, _PLACES + 2)[1:-1].astype(int))
     return float(np.mean([np.abs(s).max() for s in spectra])) if spectra else None
 
 
 def _spectra(system: MechanicalSystem, run: Solution, *places: int) -> list[Array]:
-    """Return the eigenvalues about the states `places` of a run; an empty list if unknown."""
+    """Return the eigenvalues about the states with indices `places`; empty if unknown."""
     if system.n_q > _DENSE:
         return []
     rows = np.array(places)
@@ -402,7 +402,7 @@ def _spectra(system: MechanicalSystem, run: Solution, *places: int) -> list[Arra
 
 
 def _spectrum(system: MechanicalSystem, M: Array, D: Array, K: Array, Phi_q: Array) -> Array:
-    """Return the eigenvalues of M s^2 + D s + K on the motions that Phi_q leaves."""
+    """Return eigenvalues s of M s^2 + D s + K, 1/s, for motions that Phi_q permits, (2 n,)."""
     Z = np.eye(system.n_q)
     if system.n_lam:
         Z = scipy.linalg.null_space(system.constraint_pattern.dense(Phi_q))

@@ -1,0 +1,115 @@
+"""Steps under error control that the kernel takes are those that Python takes one by one."""
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    HHT,
+    AdaptiveSteps,
+    Beam,
+    FollowerForce,
+    Material,
+    Pin,
+    PointForce,
+    RigidBody,
+    RigidBox,
+    RotationDriver,
+    Scene,
+    assemble,
+)
+from ancfdae.integrators.hht.step import HHTStepper
+from ancfdae.laws import ConstantAcceleration, Harmonic, SmoothStep
+from ancfdae.results import Verdict
+from ancfdae.sections import Rectangle
+from tests.support.mechanisms import CartesianPendulum
+
+
+def soft_pendulum():
+    rod = Beam("rod", (0, 0), (1.2, 0), 2, Rectangle(0.05, 0.05), Material(4000, 1e7, 0.3, 2e-3))
+    return assemble(Scene([rod], [Pin(rod.at_start)], gravity=(0, -9.81)), ["rod.height"]), 0.25
+
+
+def driven_crank():
+    crank = RigidBody("crank", (0.1, 0), shape=RigidBox(0.2, 0.04, 0.02), density=2700.0)
+    rod = Beam("rod", (0.2, 0), (0.7, 0), 2, Rectangle(0.01, 0.02), Material(1150, 2e7, 0.4))
+    joints = [
+        Pin(crank.at(-0.1)),
+        RotationDriver(crank.at(-0.1), ConstantAcceleration(0.0, acceleration=200.0), name="motor"),
+        Pin(crank.at(0.1), rod.at_start),
+    ]
+    return assemble(Scene([rod], joints, (0, -9.81), bodies=[crank]), ["rod.height"]), 0.08
+
+
+def kicked_pendulum():
+    rod = Beam("rod", (0, 0), (1.2, 0), 2, Rectangle(0.05, 0.05), Material(4000, 1e7, 0.3, 2e-3))
+    kick = PointForce(rod.at_end, (0, 80.0), law=Harmonic(1.0, 25.0))
+    follower = FollowerForce(rod.at_end, (0, 5.0), law=SmoothStep(0.0, 1.0, duration=0.2))
+    scene = Scene([rod], [Pin(rod.at_start)], (0, -9.81), loads=[kick, follower])
+    return assemble(scene, ["rod.height"]), 0.25
+
+
+def called_pendulum():
+    return CartesianPendulum(0.7, 1.0), 1.0
+
+
+SYSTEMS = [soft_pendulum, driven_crank, kicked_pendulum, called_pendulum]
+
+
+@pytest.mark.parametrize("rtol", [1e-2, 1e-4])
+@pytest.mark.parametrize("made", SYSTEMS)
+def test_the_kernel_takes_the_steps_of_the_loop_in_python(made, rtol, monkeypatch):
+    system, t_end = made()
+    integrator = HHT(AdaptiveSteps(rtol), hht_alpha=-0.05)
+    together = integrator.integrate(system, t_end)
+    monkeypatch.setattr(HHTStepper, "controlled", lambda *_: None)
+    alone = integrator.integrate(system, t_end)
+    assert together.outcome.success
+    counts = [
+        (x.steps, x.rejected, x.iterations, x.factorisations, x.round_off_steps)
+        for x in (together.statistics, alone.statistics)
+    ]
+    assert counts[0] == counts[1]
+    # Means of squares are added up in another order; the filter does not amplify it.
+    np.testing.assert_allclose(together.t, alone.t, rtol=1e-9)
+    np.testing.assert_allclose(together.q, alone.q, rtol=0, atol=1e-9 * np.max(np.abs(alone.q)))
+    np.testing.assert_allclose(together.control, alone.control, rtol=1e-7)
+
+
+def test_complex_designs_take_the_steps_of_real_ones():
+    system, t_end = soft_pendulum()
+    integrator = HHT(AdaptiveSteps(1e-4), hht_alpha=-0.05)
+    real = integrator.integrate(system, t_end)
+    moved = integrator.integrate(system.with_values(system.b * (1 + 1e-20j)), t_end)
+    np.testing.assert_allclose(moved.t, real.t, rtol=1e-9)
+    given = integrator.frozen(real).integrate(system.with_values(system.b * (1 + 1e-20j)), t_end)
+    # The imaginary part is the derivative at the steps as they were taken.
+    np.testing.assert_allclose(moved.q.imag, given.q.imag, rtol=0, atol=1e-7 * np.max(given.q.imag))
+
+
+def test_a_run_goes_on_as_if_it_had_not_stopped():
+    system, t_end = kicked_pendulum()
+    integrator = HHT(AdaptiveSteps(1e-3), hht_alpha=-0.05)
+    whole = integrator.integrate(system, t_end)
+    part = integrator.integrate(system, 0.05)
+    assert len(part.control) == 8
+    more = integrator.resume(system, t_end, part)
+    assert more.outcome.success
+    assert np.max(np.abs(more.q[-1] - whole.q[-1])) < 1e-2 * np.max(np.abs(whole.q))
+
+
+def test_a_limit_of_steps_ends_a_run_there():
+    system, t_end = soft_pendulum()
+    run = HHT(AdaptiveSteps(1e-4, max_steps=30), hht_alpha=-0.05).integrate(system, t_end)
+    assert run.outcome.verdict is Verdict.STEP_LIMIT
+    assert run.statistics.steps + run.statistics.rejected == 30
+
+
+def test_a_law_that_raises_ends_the_run_with_its_error(monkeypatch):
+    system, t_end = kicked_pendulum()
+
+    def broken(self, t, end, h):
+        raise ZeroDivisionError("law")
+
+    monkeypatch.setattr(HHTStepper, "_laws", broken)
+    with pytest.raises(ZeroDivisionError, match="law"):
+        HHT(AdaptiveSteps(1e-3)).integrate(system, t_end)
