@@ -1,8 +1,8 @@
 """The adjoint of runs with events, with all states of the run or within a limit of memory.
 
-With a limit the run keeps the ends of all phases, and as many whole phases as fit beside them and
-the longest phase, which the backward pass needs. This pass integrates each of the others again,
-once, by the steps that it had.
+With a limit the run stores the end states of all phases, and all states of as many phases as fit
+beside these and the longest phase, which the backward pass needs. The backward pass integrates each
+other phase once more, with the same steps.
 """
 
 from __future__ import annotations

@@ -180,7 +180,7 @@ class EventRun:
         return results
 
     def _with_end(self, slopes: Array, in_end: float) -> Array:
-        """Return a gradient, (n_b,), with the derivative in the end time if that is a variable."""
+        """Append the derivative in the end time, if that is variable, to a gradient, (n_b,)."""
         return np.append(slopes, in_end) if self.free_end else slopes
 
     def _adjoint(
@@ -267,14 +267,14 @@ def _records(jump: Jump, time: float, known: PhaseDerivatives | None) -> list[Ev
 
 
 def _in_directions(found: Array, places: list[int]) -> Any:
-    """Return the entries of friction: None, of one line, or of the two lines of a cone."""
+    """Return the entries of friction impulses: None, of one line, or of both lines of a cone."""
     if len(places) == 1:
         return found[places[0]].tolist() if found.ndim == 1 else found[places[0]]
     return found[places] if places else None
 
 
 def _total(p: PhasePartials, x: PhaseDerivatives) -> Array:
-    """Return the share of a phase in the gradient of an objective, shape (n_b,)."""
+    """Return the contribution of a phase to the gradient of an objective, (n_b,)."""
     total = p.b + p.start * x.start_b + p.duration * x.duration_b
     for rows, x_b in ((p.q, x.states.q_b), (p.v, x.states.v_b), (p.lam, x.states.lam_b)):
         if rows is not None:

@@ -1,20 +1,21 @@
 """Impulses of contacts with Coulomb's friction: a complementarity problem and its branch.
 
-m contacts have impulses N >= 0 along their normals. Rough ones have impulses T along one line of
-sliding, or in a plane along two lines at a right angle. With the rates of gaps and of sliding
-before, r, and the inverse mass A,
+m contacts have impulses N >= 0 along their normals. Contacts with friction also have impulses T
+along one line of sliding, or along two lines at a right angle in a plane. With r the rates of gaps
+and the sliding velocities before the impact, g' and s the same after it, and the inverse mass A,
 
     (g', s) = A (N, T) + r,   0 <= N - N_0  complementary to  g' >= 0,
     |T| <= mu N,   T = -mu N s/|s| where s is not zero.
 
-N_0 is zero, or what expansion adds to an impulse at least (Poisson's law). Lemke's method solves
-the problem of lines in the form of D. E. Stewart and J. C. Trinkle (Int. J. Numer. Meth. Eng. 39,
-1996). Its matrix is copositive; ties are broken by a lexicographic rule. A cone is a pyramid there,
-whose solution begins a Newton iteration on the cone (`friction_cones`).
+N_0 is zero, or the least impulse of the expansion (Poisson's law). Lemke's method solves the
+problem of lines in the form of D. E. Stewart and J. C. Trinkle (Int. J. Numer. Meth. Eng. 39,
+1996). Its matrix is copositive; ties are broken by a lexicographic rule. Lemke's method replaces a
+cone by a pyramid; Newton's method on the cone starts from its solution (`friction_cones`).
 
 The solution lies on a *branch*: which contacts push, which stick, and which slide in what
-direction. On a branch the equations are smooth, and linear except for the direction of sliding in a
-plane. They are solved once more, so that complex numbers and derivatives follow from them, too.
+direction. On a branch the equations are smooth; the direction of sliding in a plane is their only
+nonlinear term. They are solved once more, so that complex numbers and derivatives follow from them,
+too.
 """
 
 from __future__ import annotations
@@ -28,22 +29,23 @@ from ancfdae.events.friction_cones import Cones, on_cones
 from ancfdae.events.lemke import ROUND_OFF, solution
 from ancfdae.numerics.arrays import Array
 
-# Impulses and rates below this part of the largest ones are zero on a branch, which ends there.
+# Impulses and rates below this fraction of the largest ones are zero: the branch ends there.
 _TIE = 1e-9
-# Singular values below this part of the largest one belong to impulses that move nothing.
+# Singular values below this fraction of the largest one belong to impulses that move nothing.
 _MOVES_NOTHING = 1e-12
-# Sides of the pyramids in place of cones; more where Newton's method does not converge from there.
+# Numbers of sides of the pyramids, tried in turn until Newton's method converges on the cones.
 _SIDES = (8, 12, 24, 48, 96)
-# Newton's corrections of impulses on a branch, from a solution to about round-off.
+# Newton iterations for the impulses on a branch, which bring a solution to about round-off.
 _CORRECTIONS = 3
 
 
 @final
 @dataclass(frozen=True)
 class Contacts:
-    """The inverse mass A, (m + k, m + k), the contact of each rough row, and its mu, (k,) each.
+    """Contacts of an impact: inverse mass A, (m + k, m + k), and contact and mu of k friction rows.
 
-    A contact that slides along a line has one row, a contact that slides in a plane two.
+    A contact that slides along a line has one row in `rough` and `friction`, (k,) each; a contact
+    that slides in a plane has two.
     """
 
     inverse_mass: Array
@@ -57,7 +59,7 @@ class Contacts:
 
     @property
     def same(self) -> Array:
-        """Whether two rows belong to one contact, (k, k)."""
+        """Whether two friction rows belong to one contact, (k, k)."""
         return self.rough[:, None] == self.rough
 
     @property
@@ -66,12 +68,12 @@ class Contacts:
         return len(set(self.rough.tolist())) < len(self.rough)
 
     def length(self, x: Array) -> Array:
-        """Return for each row the length of the vector of its contact, (k,); complex if x is."""
+        """Return for each friction row the length of the vector x, (k,), of its contact, (k,)."""
         squares = self.same @ (x * x)
         return np.sqrt(squares)
 
     def sizes(self) -> Array:
-        """Return square roots of the inverse masses, (m + k,); 1 where no impulse acts.
+        """Return square roots of the diagonal of A, (m + k,); 1 where an impulse moves nothing.
 
         Both rows of a contact that slides in a plane have the larger one.
         """
@@ -81,7 +83,7 @@ class Contacts:
         return np.sqrt(own)
 
     def branch(self, rates: Array, least: Array) -> Branch:
-        """Return the branch of the solution from real rates r, (m + k,), and N_0, (m,).
+        """Return the branch of the solution for real rates r, (m + k,), and N_0, (m,).
 
         ArithmeticError if there is no solution.
         """
@@ -102,7 +104,7 @@ class Contacts:
         raise ArithmeticError
 
     def _scaled(self) -> tuple[Array, Array]:
-        """Return A with a unit diagonal, and mu for impulses in these units, real."""
+        """Return A scaled to a unit diagonal, and mu for impulses in these units, real."""
         size = self.sizes()
         ratio = size[self.count :] / size[self.rough]
         return self.inverse_mass.real / np.outer(size, size), self.friction.real * ratio
@@ -110,7 +112,11 @@ class Contacts:
     def _on_pyramids(
         self, A: Array, mu: Array, given: tuple[Array, Array], sides: int
     ) -> tuple[Array, Array, Array]:
-        """Return which contacts push beyond N_0, N and T, and speeds of sliding of each row."""
+        """Solve the problem with pyramids for `given` r and N_0, scaled.
+
+        Return which contacts push beyond N_0, (m,), impulses N and T, (m + k,), and the sliding
+        speed of each friction row, (k,).
+        """
         m, (r, low) = self.count, given
         shifted = r + A[:, :m] @ low
         scale = float(np.max(np.abs(shifted), initial=0.0)) or 1.0
@@ -131,7 +137,7 @@ class Contacts:
     def _directions(self, sides: int) -> tuple[Array, Array]:
         """Return unit vectors of sliding, (k, n), and the contact of each, (n,).
 
-        A line has two of them, a plane one for each side of a pyramid.
+        A line has two vectors, a plane one for each side of its pyramid.
         """
         found, of = list[Array](), list[int]()
         for number in range(sides):
@@ -147,7 +153,7 @@ class Contacts:
         return np.reshape(found, (len(of), len(self.rough))).T, np.array(of, dtype=int)
 
     def tie(self, branch: Branch, impulses: Array, rates: Array, least: Array) -> int | None:
-        """Return a contact whose solution lies on two branches, from g', s and N, T; or None."""
+        """Return the index of a contact on two branches, from rates g', s and impulses; or None."""
         size, m = self.sizes(), self.count
         P, y = impulses.real * size, rates.real / size
         _, mu = self._scaled()
@@ -155,7 +161,7 @@ class Contacts:
         small = _TIE * np.max(np.abs(P), initial=0.0)
         slow = max(small, _TIE * np.max(np.abs(y), initial=0.0))
         more = P[:m] - least.real * size[:m]
-        # A gap that closes alone is struck, however slowly.
+        # An impact of one gap always pushes, however slowly the gap closes.
         tied = np.where(branch.pushes, more <= small, y[:m] <= slow) & (m > 1)
         sliding, friction = self.length(y[m:]), self.length(P[m:])
         held = friction >= mu * P[self.rough] - small
@@ -166,7 +172,7 @@ class Contacts:
 
 
 class _Slip(NamedTuple):
-    """Directions d of sliding and mu N/|s|, (k,) each; zero for rows that do not slide."""
+    """Directions d of sliding and mu N/|s|, (k,) each; zero in friction rows that do not slide."""
 
     direction: Array
     turn: Array
@@ -175,11 +181,12 @@ class _Slip(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Branch:
-    """Which contacts push beyond N_0, (m,), and which rough ones stick, or slide in what direction.
+    """Which contacts push beyond N_0, (m,), and which friction rows stick or slide.
 
     `sticks` and the unit vectors `slides`, (k,) each, have one row for a line and two for a plane.
-    `near` are N and T, (m + k,), of the solution. Where contacts depend on each other impulses are
-    not unique, and these lie within the cones of friction.
+    `near` are the impulses N and T, (m + k,), of a solution. If contacts depend on each other the
+    impulses are not unique; those nearest to `near` are taken, which lie within the cones of
+    friction.
     """
 
     pushes: Array
@@ -188,7 +195,7 @@ class Branch:
     near: Array
 
     def impulses(self, contacts: Contacts, rates: Array, least: Array) -> Array:
-        """Return N and T, (m + k,), of numbers of any kind."""
+        """Return N and T, (m + k,), on the branch, for real or complex rates r and N_0."""
         m, P = contacts.count, self.near
         for _ in range(_CORRECTIONS if contacts.has_planes else 1):
             s = contacts.inverse_mass[m:] @ P + rates[m:]
@@ -221,7 +228,7 @@ class Branch:
         return self._solved(contacts, slip, side, np.zeros_like(side))
 
     def _slip(self, contacts: Contacts, normal: Array, s: Array) -> _Slip:
-        """Return how contacts slide in a state with the impulses N and the velocities s."""
+        """Return how contacts slide with impulses N, (m,), and sliding velocities s, (k,)."""
         if not contacts.has_planes:
             return _Slip(self.slides, np.zeros(len(self.slides)))
         in_plane = (np.sum(contacts.same, axis=1) > 1) & (contacts.length(self.slides) > 0)
@@ -230,7 +237,7 @@ class Branch:
         return _Slip(np.where(in_plane, s / speed, self.slides), np.where(in_plane, turn, 0.0))
 
     def _solved(self, contacts: Contacts, slip: _Slip, side: Array, near: Array) -> Array:
-        """Return the impulses on the branch that are nearest to given ones, (m + k, d)."""
+        """Return impulses nearest to `near` that solve the branch for `side`, (m + k, d) each."""
         m, rough, size = contacts.count, contacts.rough, contacts.sizes()
         scaled = contacts.inverse_mass / np.outer(size, size)
         kind = np.result_type(scaled, contacts.friction, slip.direction, slip.turn)
@@ -254,7 +261,7 @@ class Branch:
 
 
 def _turned(contacts: Contacts, slip: _Slip, x: Array) -> Array:
-    """Return mu N/|s| (I - d d^T) x for rows x of sliding, (k,) or (k, d)."""
+    """Return mu N/|s| (I - d d^T) x for friction rows x, (k,) or (k, d)."""
     d, turn = slip.direction, slip.turn
     across = np.eye(len(d)) - np.outer(d, d) * contacts.same
     return np.asarray((turn[:, None] * across) @ x)

@@ -23,7 +23,7 @@ from ancfdae.sensitivity.observables.observable import Observable, States
 
 
 def rows_of_contacts(impacts: Sequence[Impact]) -> list[RowsOf]:
-    """Return the functions of the rows of W: gradients of gaps, then rows of sliding velocities."""
+    """Return functions of the rows of `contact_rows`: gaps first, then sliding velocities."""
 
     def of_gap(gap: Observable) -> RowsOf:
         return lambda system, t, q: gap_rows(system, gap, t, q)
@@ -43,9 +43,9 @@ def contact_rows(
     *,
     smooth: bool = False,
 ) -> tuple[Array, Array]:
-    """Return W, (m + k, n_q), and its rates, (m + k,); for `smooth` contacts G and g_t only.
+    """Return rows W of gaps and sliding velocities, (m + k, n_q), and rates at v = 0, (m + k,).
 
-    States and designs may have small imaginary parts.
+    States and designs may have small imaginary parts. With `smooth` only the m rows of gaps.
     """
     real = system
     if np.iscomplexobj(system.b):
@@ -92,7 +92,7 @@ def gap_partials(
 def of_state(
     system: MechanicalSystem, function: Observable, state: tuple[complex, Array, Array]
 ) -> tuple[float, Partials]:
-    """Return value and partial derivatives of an observable at a real state (t, q, v)."""
+    """Return value and partial derivatives of an observable at a state (t, q, v), with real t."""
     t, q, v = state
     at = States(np.array([np.real(t)]), q[None], v[None], np.zeros((1, system.n_lam)))
     return partials(system, function, at)

@@ -70,7 +70,7 @@ class _Start(NamedTuple):
 
 
 def differentiated(run: PhasedRun) -> tuple[PhasedRun, list[PhaseDerivatives]]:
-    """Return a finished run with the derivatives of each phase (direct differentiation)."""
+    """Return a finished run with events, and design derivatives of each phase (direct)."""
     found = list(_each_differentiated(run, run.phases))
     return replace(run, phases=tuple(x.phase for x in found)), found
 
@@ -155,7 +155,7 @@ def require_closed_start(system: MechanicalSystem, jump: Jump) -> None:
 
 
 def require_one_time(run: PhasedRun, phases: Iterable[Phase]) -> None:
-    """Refuse to differentiate a run in which times of events coincide at this design only.
+    """Raise InvalidInputError for a run in which times of events coincide at this design only.
 
     `phases` are the phases of the run with all their states.
     """
@@ -284,7 +284,7 @@ class BackwardPass:
             self.in_end = in_D
 
     def to_start(self, system: MechanicalSystem, before: Jump | None) -> Array:
-        """Return the gradient, (n_b,), with the start of the run and the impacts there."""
+        """Return the gradient, (n_b,), after the transposed start of the run and its impacts."""
         if before is not None:
             require_closed_start(system, before)
             self._on, on_b = _before(before, self._on)
@@ -293,7 +293,7 @@ class BackwardPass:
 
 
 def _before(jump: Jump, on: _Covectors) -> tuple[_Covectors, Array]:
-    """Return the adjoint vectors before a jump, and the jump's part of the gradient, (n_b,)."""
+    """Return the adjoint vectors before a jump, and its contribution to the gradient, (n_b,)."""
     n, gradient = jump.mode.system.n_q, np.zeros(jump.mode.system.n_b)
     for strike in reversed(jump.strikes):
         moved, _ = strike.along(Directions.all_of(strike.mode.system))

@@ -5,8 +5,8 @@ In units in which A has a unit diagonal, N >= N_0 and T solve the contact proble
     min(N - N_0, g') = 0,   T = projection of T - s on the disc of radius mu N,
 
 with (g', s) = A (N, T) + r (P. Alart and A. Curnier, Comput. Methods Appl. Mech. Eng. 92, 1991).
-The map has kinks where a contact begins to push, to stick or to slide, and Newton's method takes
-the derivative on the side on which it is. Steps are halved until the map gets smaller.
+The map has kinks where a contact begins to push, to stick or to slide; Newton's method takes the
+derivative on its side of a kink. Corrections are halved until the map gets smaller.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ import numpy as np
 
 from ancfdae.numerics.arrays import Array
 
-# The map at a solution, over the largest of the rates; corrections, and halvings of one of them.
+# Largest norm of the map at a solution, relative to the rates; most corrections, and most halvings.
 _SOLVED, _CORRECTIONS, _HALVED = 1e-12, 60, 12
 
 
 class Cones(NamedTuple):
-    """The problem in scaled units: A, the contact and mu of each row of sliding, r, and N_0."""
+    """The contact problem in scaled units: A, contact and mu of each friction row, r, and N_0."""
 
     A: Array
     rough: Array
@@ -42,11 +42,11 @@ class _Map(NamedTuple):
 
 
 def on_cones(problem: Cones, P: Array) -> tuple[Array, Array, Array, Array] | None:
-    """Return which contacts push, stick and slide, and N and T, (m + k,), from a start P.
+    """Return which contacts push, stick and slide, and N and T, (m + k,), from a first guess P.
 
     None if Newton's method does not converge from there.
     """
-    # Rates before, and rates by the impulses N_0, which may be all that there is.
+    # Rates before the impact, and rates by the impulses N_0; either may be zero.
     rates = np.abs(problem.r) + np.abs(problem.A[:, : len(problem.low)]) @ np.abs(problem.low)
     scale = float(np.max(rates, initial=0.0)) or 1.0
     at = _natural_map(problem, P)

@@ -166,7 +166,7 @@ def sliding_rows(
     The sliding velocity is s_v v + s(v = 0); InvalidInputError if it is not linear in v.
     """
     still = np.zeros_like(q)
-    # Velocities that differ by place and coordinate, with the sizes of positions.
+    # Velocities that differ by coordinate, with the sizes of positions.
     other = np.cos(np.arange(q.shape[1])) * (np.max(np.abs(q), axis=1, initial=0.0) + 1)[:, None]
     lam = np.zeros((len(t), system.n_lam))
     p = sliding.partials(system, States(t, q, still, lam))

@@ -90,11 +90,12 @@ class _Stage(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Struck:
-    """Solved impacts at one time: velocities moved onto the constraints, and after the impact.
+    """Solved impacts at one time.
 
-    `impacts` are those that push, with the restitutions e; `contacts` hold the inverse mass and the
-    coefficients of friction of the rough ones; X as in the module. `tie` names an impact that lies
-    between two branches.
+    `impacts` are those that push, with the restitutions e, (m,); `contacts` hold the inverse mass
+    and the coefficients of friction. `before` is the velocity moved onto the constraints; the last
+    of `stages` ends with the velocity after the impact. X is as in the module. `tie` names an
+    impact that lies between two branches.
     """
 
     system: MechanicalSystem
@@ -116,7 +117,7 @@ class Struck:
         return self.stages[-1].after
 
     def impulses(self) -> list[tuple[Impact, int, list[int]]]:
-        """Return the impacts that push, with the places of their impulses P and T."""
+        """Return each impact that pushes, with the index of its P and the indices of its T."""
         m, rough = len(self.impacts), self.contacts.rough
         places = [(m + np.flatnonzero(rough == i)).tolist() for i in range(m)]
         return list(zip(self.impacts, range(m), places, strict=True))
@@ -149,7 +150,7 @@ class Struck:
             raise InvalidInputError(where, rule, got, repair)
 
     def along(self, moved: Directions) -> tuple[Array, Array]:
-        """Return the derivatives of v+, (n_q, d), and of P and T, (m + k, d), along directions."""
+        """Return derivatives of v+, (n_q, d), and of (P, T), (m + k, d), along d directions."""
         self.require_branch()
         m, (W, w_t), (t, q, _) = len(self.impacts), self.rows, self.state
         directions = moved.t, moved.q, moved.b
@@ -202,7 +203,7 @@ class Struck:
         return len(self.stages) > 1
 
     def _held(self, w: _Velocity, moved: Directions, extra: Array | float) -> Array:
-        """Return derivatives of a velocity, (n_q, k), at fixed impulses; `extra` is (G^T P)_b."""
+        """Return derivatives of a velocity w, (n_q, k), at fixed impulses; `extra` is W_b^T p."""
         system, (t, q, v) = self.system, self.state
         time, change = float(np.real(t)), w.value - v
         at = np.array([time]), q[None], None, change[None], w.multiplier[None]
@@ -238,7 +239,7 @@ def struck(
     plastic: bool,
     state: tuple[complex, Array, Array],
 ) -> Struck:
-    """Return the solution of impacts at a state (t, q, v); plastic ones have no restitution."""
+    """Return the solution of impacts at a state (t, q, v); `plastic` sets all restitutions to 0."""
     t, q, v = state
     local, factors = _factored(system, state)
     moved, multiplier = solve(factors, np.zeros_like(v), local.constraint(0.0, q, v))
@@ -249,7 +250,7 @@ def struck(
 
 @final
 class _Impulses:
-    """The problem for the impulses of independent gaps, at a velocity on the constraints."""
+    """Equations for the impulses of impacts with independent gaps, from a consistent velocity."""
 
     def __init__(
         self,
@@ -312,7 +313,7 @@ class _Impulses:
         return first, self._stage(first.after, shift, self._e * first.impulses[:m])
 
     def _stage(self, before: _Velocity, shift: Array, least: Array) -> _Stage:
-        """Return a stage from its velocity, the shift of rates after it, and N_0."""
+        """Return a stage from the velocity before it, a shift of the rates after it, and N_0."""
         W, w_t = self._rows
         rates = W @ before.value + w_t + shift
         try:
@@ -332,7 +333,7 @@ class _Impulses:
         return _Stage(branch, least, impulses, _Velocity(value, multiplier, total))
 
     def _tie(self, stages: Sequence[_Stage]) -> str | None:
-        """Return the name of an impact that lies between two branches of a stage; None without."""
+        """Return the name of an impact that lies between two branches of a stage, or None."""
         W, w_t = self._rows
         for number, stage in enumerate(stages):
             rates = W @ stage.after.value + w_t

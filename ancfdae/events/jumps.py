@@ -18,15 +18,15 @@ from ancfdae.events.strikes import Strike, allowed, is_pressed
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 
-# A gap that is negative by this part of its coordinates where a mode begins is refused.
+# A gap below minus this fraction of its coordinates at the start of a mode raises an error.
 _NEGATIVE = 1e-9
-# A rate after an impact that is this part of the rates before it is zero.
+# A rate after an impact counts as zero below this fraction of the rates before it.
 _STANDS = 1e-12
-# A gap that is below this part of its coordinates in a whole phase is held by a joint there.
+# A gap below this fraction of its coordinates in a whole phase is kept closed by a joint.
 _HELD = 1e-11
 # Most impacts one after the other at one time.
 _CHAIN = 1000
-# A mode whose joints are farther off than this part of the mechanism cannot be switched to.
+# Largest change of coordinates that closes the joints of a new mode, relative to the mechanism.
 _CLOSED = 1e-6
 
 
@@ -55,7 +55,7 @@ class Jumps:
         """Return impacts, followed by impacts of touching gaps with a negative rate after them.
 
         `first` is the event that ended the phase. Impacts that do not act on it, nor on each other,
-        have times of their own beside the design.
+        have times of their own at neighbouring designs.
         """
         (t, q, v), found = state, list[Strike]()
         groups = [tuple(impacts)] if impacts else []
@@ -84,7 +84,7 @@ class Jumps:
     def _with_touching(
         self, mode: ModeSystem, impacts: Sequence[Impact], state: tuple[float, Array, Array]
     ) -> list[tuple[Impact, ...]]:
-        """Return groups of impacts and of the closed gaps that see their impulses."""
+        """Return impacts with the closed gaps that their impulses move, in uncoupled groups."""
         (t, q, v), touching = state, list(impacts)
         for event in mode.events:
             if isinstance(event, Impact) and event not in impacts:
@@ -99,8 +99,8 @@ class Jumps:
     ) -> list[Impact]:
         """Return the impacts whose gaps are closed at a time and have a negative rate.
 
-        The first velocities belong to that time; further ones are velocities before impacts.
-        Where a run or a mode `begins`, gaps that are negative beyond round-off are refused.
+        The first of `v` are velocities at that time; further ones are velocities before impacts.
+        Raises InvalidInputError for gaps clearly negative where a run or a mode `begins`.
         """
         closing = []
         for event in mode.events:
@@ -119,7 +119,7 @@ class Jumps:
     def at_end(self, phase: Phase, event: Event, rests: bool, size: float) -> Jump:
         """Return the jump at the end of a phase, by an event and all others of the same time.
 
-        `size` is the size of the mechanism so far, in its weighted norm.
+        `size` is the largest weighted norm of the coordinates so far.
         """
         mode, (t, q, v) = phase.mode, phase.last
         events = [event, *(x for x in self._with_it(phase) if x is not event)]
@@ -147,10 +147,7 @@ class Jumps:
         return Jump(tuple(events), strikes, mode, ends)
 
     def _pressed(self, strikes: Sequence[Strike]) -> Impact | None:
-        """Return an impact after which its gap stays closed, because accelerations press it.
-
-        The impact leaves no rate of the gap, and its second derivative is negative there.
-        """
+        """Return an impact whose gap has no rate after it and accelerates to close, or None."""
         for impact in (x for each in strikes for x in each.struck.impacts if x.leads_to):
             system, (t, q, before) = strikes[-1].mode.system, strikes[0].struck.state
             time, v = float(np.real(t)), strikes[-1].velocities
@@ -185,9 +182,9 @@ class Jumps:
         return found
 
     def _mode(self, name: str, phase: Phase, v: Array, size: float) -> tuple[ModeSystem, Array]:
-        """Return the mode that follows a phase, and velocities v as its joints allow them.
+        """Return the mode that follows a phase, and velocities v projected onto its joints.
 
-        A mode whose joints are not closed there is refused.
+        InvalidInputError if its joints are not closed there.
         """
         mode, (t, q, _) = self._modes[name], phase.last
         system = mode.system
@@ -205,6 +202,6 @@ class Jumps:
 
 
 def _is_held(phase: Phase, impact: Impact) -> bool:
-    """Whether a gap stays closed in a phase, so that its rate at the end is round-off."""
+    """Return whether a gap stays closed in a phase, so that its rate at the end is round-off."""
     g, _, size = function_along(phase, impact)
     return bool(np.all(np.abs(g) <= _HELD * size))

@@ -6,14 +6,17 @@ import numpy as np
 
 from ancfdae.numerics.arrays import Array
 
-#: Pivots, and differences of ratios, below this part of the largest entry are round-off.
+#: Pivots and differences of ratios below this fraction of the largest entry are round-off.
 ROUND_OFF = 1e-11
-# Starts of the method, whose coefficients are 1 plus fractions of multiples of a number.
+# Number of starts, and the number whose multiples, modulo 1, are added to 1 in their coefficients.
 _STARTS, _SPREAD = 16, 0.6180339887498949
 
 
 def solution(M: Array, q: Array) -> Array:
-    """Return a solution x, (n,), by Lemke's method; after a ray by round-off from a new start."""
+    """Return a solution x, (n,), of the problem of `lemke`; a failed attempt is repeated.
+
+    Attempts differ in `cover`, since round-off may end one on a ray.
+    """
     for n in range(_STARTS):
         try:
             return lemke(M, q, 1.0 + np.modf(n * _SPREAD * np.arange(len(q)))[0])
@@ -62,7 +65,7 @@ def lemke(M: Array, q: Array, cover: Array) -> Array:
 
 
 def _first(rows: Array, among: Array) -> int:
-    """Return the lexicographically least of some rows, up to round-off."""
+    """Return the index, among `among`, of the lexicographically least row, up to round-off."""
     for column in rows.T:
         values = column[among]
         among = among[

@@ -24,29 +24,30 @@ from ancfdae.integrators.step_control import FixedSteps, PrescribedSteps
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.numerics.arrays import Array
 
-#: Gaps that close within this part of the run after the first one close with it.
+#: Gaps that close within this fraction of the run after the first one close with it.
 TOGETHER = 1e-12
-#: The size of a correction against the time that is round-off.
+#: Corrections of D below this fraction of the time are round-off.
 ROUND_OFF = 4e-16
-#: Round-off of a function against the size of what it is made of.
+#: Round-off of an event function, relative to the size of its terms.
 NOISE = 1e-14
-# Corrections of D: most of Newton's, and most where a bracket is halved, too.
+# Most corrections of D by Newton's method, and most if a bracket is halved, too.
 _CORRECTIONS, _HALVED = 30, 100
-# Corrections after which a time with the other sign is tried, since zeros of higher order are slow.
+# Number of corrections, few because zeros of higher order converge slowly, after which a time with
+# the other sign is tried.
 _SLOW = 10
-# The size of a correction against D where it has stopped shrinking, and the value at a zero against
-# the values before it.
+# Largest correction, relative to D, that may have stopped shrinking, and largest value at a zero,
+# relative to the values before it.
 _ACCEPTED = 1e-6
-# A zero is double if a correction, or this part of D, changes the rate by a tenth of it.
+# A zero is double if a correction, or this fraction of D, changes the rate by a tenth of it.
 _DOUBLE = 1e-9
-# Times that a phase is located anew because another event happens before.
+# Most repetitions because another event happens before the located one.
 _ANEW = 8
 
 
 def first_event(
     phase: Phase, happened: Sequence[Event], t_end: float
 ) -> tuple[Event, Crossing] | None:
-    """Return the first event in a phase and its time from the start of the phase on."""
+    """Return the first event in a phase and its crossing, or None."""
     found: tuple[Event, Crossing] | None = None
     if len(phase.run.t) < 2:
         return None
@@ -68,7 +69,7 @@ def first_event(
 def located(
     phase: Phase, found: tuple[Event, Crossing], happened: Sequence[Event], t_end: float
 ) -> Phase:
-    """Return the phase up to an event that its run has passed, ended there to round-off."""
+    """Return a phase ended, to round-off, at the event that its run has passed."""
     for _ in range(_ANEW):
         event, crossing = found
         if ROUND_OFF * t_end >= crossing.time:
@@ -131,14 +132,14 @@ def _ended_at(phase: Phase, steps: _StretchedSteps, crossing: Crossing, left: fl
 
 
 def _simple(phase: Phase, rates: Array, near: float) -> bool:
-    """Whether a time changes the rate at the end of a phase by less than a tenth: a simple zero."""
+    """Return whether a zero is simple: its rate changes by less than a tenth within `near`, s."""
     t = phase.run.t
     bend = (rates[-1] - rates[-2]) / (t[-1] - t[-2])
     return bool(abs(rates[-1]) > 10 * abs(bend) * near)
 
 
 def _is_zero(values: Array, rates: Array, t: float) -> bool:
-    """Whether the last of the values of a phase is small beside those before, or round-off."""
+    """Return whether the last value of a phase is small beside the values before, or round-off."""
     before, speeds = np.abs(values[:-1]), np.abs(rates[:-1])
     largest = np.max(before) + speeds[0] * t
     noise = 8 * ROUND_OFF * np.max(speeds) * t

@@ -24,7 +24,13 @@ from ancfdae.events.functions import in_time
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.sensitivity.objectives.objective import NonFiniteObjectiveError, Objective
-from ancfdae.sensitivity.objectives.reductions import AtInstants, OverTime, Reduction, Terminal
+from ancfdae.sensitivity.objectives.reductions import (
+    AtInstants,
+    AtTimes,
+    OverTime,
+    Reduction,
+    Terminal,
+)
 from ancfdae.sensitivity.observables.expression import evaluated, leaf_weights, leaves
 from ancfdae.sensitivity.observables.observable import Observable, States, remembered
 
@@ -62,7 +68,7 @@ class PhaseStates:
         return PhaseTimes(self.states.t, self.states.degree, self.start, self.duration)
 
     def late(self) -> Array:
-        """Return the imaginary parts of the times, (k,)."""
+        """Return the imaginary parts of the times, (k,), s."""
         rate = np.imag(self.duration) / np.real(self.duration)
         return np.imag(self.start) + self.times.grid.t * rate
 
@@ -103,7 +109,7 @@ class PhasePartials:
 
 
 def value_of(objective: Objective, phases: Sequence[PhaseStates]) -> complex:
-    """Return the value of an objective over all phases, complex where states or times are."""
+    """Return the value of an objective over all phases, complex if states or times are complex."""
     return FollowedObjective.along(objective, phases).value()
 
 
@@ -120,7 +126,7 @@ def require_reductions(objectives: Sequence[Objective]) -> None:
 def along_phases(
     observable: Observable, phases: Sequence[PhaseStates]
 ) -> list[dict[object, Array]]:
-    """Return values of an observable and its terms, by node, along each phase; itself last."""
+    """Return values of an observable and its terms by node, itself last, for each phase."""
     found: list[dict[object, Array]] = []
     past: Mapping[object, float] = {}
     for phase in phases:
@@ -130,6 +136,14 @@ def along_phases(
         found.append(nodes)
         past = remembered(nodes)
     return found
+
+
+def at_times(observable: Observable, phases: Sequence[PhaseStates], times: Array) -> Array:
+    """Return an observable at times of a run, shape (n,), interpolated in the phases."""
+    values = [list(nodes.values())[-1] for nodes in along_phases(observable, phases)]
+    spans = [phase.times for phase in phases]
+    read = (_Reduced(AtTimes(observable, [time]), spans, values) for time in times.tolist())
+    return np.array([each.value().real for each in read])
 
 
 @final
@@ -145,14 +159,14 @@ class FollowedObjective:
         self._values: dict[Reduction, list[Array]] = {
             leaf: [] for leaf in cast("list[Reduction]", leaves(objective))
         }
-        # What observables remember where each phase begins.
+        # Values that observables remember (counts of turns), at the start of each phase.
         self._pasts: list[dict[object, float]] = [{}]
         # Of each reduction its weight, slopes in its values, and slopes in times of phases.
         self._slopes: dict[Reduction, tuple[float, list[Array], Array]] = {}
 
     @staticmethod
     def along(objective: Objective, phases: Sequence[PhaseStates]) -> FollowedObjective:
-        """Return an objective after all phases of a run."""
+        """Return the followed objective after all given phases of a run."""
         followed = FollowedObjective(objective)
         for phase in phases:
             followed.follow(phase)
@@ -174,7 +188,7 @@ class FollowedObjective:
         self._pasts.append(later)
 
     def value(self) -> complex:
-        """Return the value over all phases, complex where states or times are."""
+        """Return the objective's value over all phases; complex if states or times are complex."""
         nodes = evaluated(self._objective, lambda leaf: np.asarray(self._reduced(leaf).value()))
         value = list(nodes.values())[-1]
         if not np.isfinite(value):
@@ -196,7 +210,7 @@ class FollowedObjective:
         return value
 
     def partials(self, k: int, phase: PhaseStates) -> PhasePartials:
-        """Return the partials in states, design, start and duration of phase k."""
+        """Return the objective's partials in states, design, start and duration of phase k."""
         states, total = replace(phase.states, past=self._pasts[k]), list[PhasePartials]()
         shares = phase.times.grid.t / np.real(phase.duration)
         for leaf, (weight, slopes, through) in self._slopes.items():
@@ -215,7 +229,7 @@ class FollowedObjective:
 
 
 def _at_late_times(observable: Observable, phase: PhaseStates, x: Array) -> Array:
-    """Return the values of an observable along a phase, with the change by imaginary times."""
+    """Return values of an observable along a phase, (k,), with the change by imaginary times."""
     late = phase.late()
     if not np.any(late):
         return x
@@ -235,11 +249,11 @@ class _Reduced:
 
     @property
     def _spans(self) -> list[tuple[complex, complex]]:
-        """Starts and durations of the phases."""
+        """Starts t_0 and durations D of the phases."""
         return [(phase.start, phase.duration) for phase in self._phases]
 
     def value(self) -> complex:
-        """Return the value, complex where states or times are."""
+        """Return the reduction over all phases; complex if states or times are complex."""
         x_all, w_all = np.concatenate(self._x), np.concatenate(self._weights(self._spans))
         used = w_all != 0
         if not np.all(np.isfinite(x_all[used])):
@@ -266,7 +280,7 @@ class _Reduced:
     def _shares(
         self, objective: AtInstants, spans: Sequence[tuple[complex, complex]]
     ) -> list[Array]:
-        """Return the shares of time points in values at given times."""
+        """Return the weights of the time points of each phase in values at given times."""
         weights = [np.zeros(len(phase.t), dtype=complex) for phase in self._phases]
         if isinstance(objective, Terminal):
             # The end of the run, which an event may move.

@@ -1,8 +1,9 @@
 """A run with events at a complex design: the phases of a real run with imaginary parts.
 
-The complex step differentiates whole runs, events included. A phase at the imaginary step in the
-design misses its event by Im g. A phase of the real system whose duration has an imaginary step
-gives the rate of g in D. Derivatives of the motion with respect to the design are not used.
+The complex step differentiates whole runs, events included. With an imaginary step in the design
+the function g of the event that ends a phase has the value i Im g there. A phase of the real system
+whose duration D has an imaginary step gives g_D, and D changes by -i Im g / g_D. Derivatives of the
+motion with respect to the design are not used.
 """
 
 from __future__ import annotations

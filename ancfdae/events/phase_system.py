@@ -38,8 +38,8 @@ from ancfdae.equations import (
     planned,
 )
 from ancfdae.equations.contact_record import ContactRecord, MissedContact
+from ancfdae.equations.plans import CalledPlan, ListPlan, Plan
 from ancfdae.equations.system import States, called_plan, constraint_q_along, residual_along
-from ancfdae.kernels import CalledPlan, ListPlan, Plan
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.complex_step import scaled_derivative
 
@@ -137,7 +137,10 @@ class PhaseSystem(LaterSystem):
         return {}
 
     def _total(self, value: Callable[..., Array], *states: tuple[Array, Array]) -> Array:
-        """Return total derivatives, (m, n_b); numbers of the start act through states only."""
+        """Return total design derivatives of `value`, (m, n_b), at `states`, pairs of x and x_b.
+
+        Numbers of the start act through states only.
+        """
         n = self._ahead
         moved = np.zeros(self.n_b, dtype=bool)
         moved[: n + 1] = True
@@ -462,9 +465,9 @@ class PhaseSystem(LaterSystem):
         """Return the first of k states in which a part is mirrored or folded."""
         return self.base.mirrored(q)
 
-    def off_route(self, q: Array) -> tuple[int, str] | None:
+    def off_route(self, t: Array, q: Array, v: Array) -> tuple[int, str] | None:
         """Return the first of k states in which a guide or rope has left its route."""
-        return self.base.off_route(q)
+        return self.base.off_route(self._times(t), q, v)
 
     def turn_rate(self, t: Array) -> Array:
         """Return the largest rate at which constraints prescribe an angle, (k,); rad/s."""

@@ -96,7 +96,7 @@ class Phase:
 @final
 @dataclass(frozen=True)
 class PhasedRun:
-    """All phases of a run, impacts before the first one, and how the last one ended."""
+    """All phases of a run, impacts before the first phase, and how the run ended."""
 
     before: Jump | None
     phases: tuple[Phase, ...]
@@ -106,7 +106,7 @@ class PhasedRun:
 @final
 @dataclass(frozen=True)
 class Beginning:
-    """Where a run goes on: mode, state, the events that have just happened, the phase before it."""
+    """Where a run continues: mode, state (t, q, v), latest events, and last phase's duration, s."""
 
     mode: str
     state: tuple[float, Array, Array]
@@ -120,7 +120,7 @@ def integrated(phase: Phase) -> Phase:
 
 
 def function_along(phase: Phase, event: Event) -> AlongRun:
-    """Return the function of an event along a phase; refuse NaN."""
+    """Return the function of an event along a phase; InvalidInputError if it is not finite."""
     g, rate, size = along_run(phase.mode.system, event.crossing[0], phase.t_0, phase.run)
     if not np.all(np.isfinite(g)):
         bad = phase.t_0 + float(phase.run.t[np.argmin(np.isfinite(g))])

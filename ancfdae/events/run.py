@@ -40,18 +40,18 @@ from ancfdae.numerics.progress import progress_bar
 REST = 1e-8
 # Most events of a run.
 _MOST = 100_000
-# A gap that opens by this part of its coordinates only, in more phases in a row than these, is at
-# rest. Bodies that move together have single impacts of round-off size.
+# A gap that opens by less than the first number, relative to its coordinates, in more phases in a
+# row than the second is at rest. Bodies that move together have single impacts of round-off size.
 _RESTING, _CLOSED_PHASES = 1e-15, 20
-# Part of the run before its end in which an event counts as one after the end.
+# An event closer to the end of the run than this fraction of the run counts as one after the end.
 _AT_END = 1e-15
-# The first window, as a part of the run, and how windows grow: by the length of the last phase.
+# Length of the first window as a fraction of the run; ratio of the next to the last phase.
 _FIRST, _GROWTH = 1 / 8, 2.0
 # Least number of intervals that an integrator of high order reports in a phase.
 _INTERVALS = 4
 # Most steps into which a window is divided because no event was found in longer ones.
 _FINEST = 512
-# Phases in a row that are as short as rest, of whatever events.
+# Most phases in a row, by any events, that are shorter than the fraction REST of the run.
 _SHORT = 200
 # Phases, in two halves, after which the number of all events is foreseen, if durations of
 # the second half are not shorter by this factor than in the first half.
@@ -65,10 +65,10 @@ _MANY = (
 
 @final
 class PhaseMarch:
-    """Runs through the phases of one run at a real design.
+    """Integrates the phases of one run at a real design.
 
-    `thin` is called once with every phase when the run has left it, in their order. The run keeps
-    the phase that it returns, with at least the first and the last state.
+    `thin` is called once for each phase, in order, after the jump at its end. The run stores the
+    phase that it returns, with at least the first and the last state.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class PhaseMarch:
         self._contacts = _Contacts()
 
     def run(self, mode: ModeSystem, progress: bool, begins: Beginning | None = None) -> PhasedRun:
-        """Integrate from the start of a mode to the end; a failure keeps the phases before it.
+        """Integrate from the start of a mode to the end; after a failure return the phases so far.
 
         With `begins` the run continues from there.
         """
@@ -110,7 +110,7 @@ class PhaseMarch:
         first: bool,
         bar: Any,
     ) -> PhasedRun:
-        """Integrate all phases from a mode, a state, and the events that have just happened."""
+        """Integrate all phases from a mode, its state, and the events that have just happened."""
         mode, state, happened = begins
         phases: list[Phase] = []
         short = closed = 0
@@ -141,7 +141,7 @@ class PhaseMarch:
                 return self._accumulated(before, [*phases, phase], phase, event)
             jump = self._jumps.at_end(phase, event, rests, self._size)
             if not jump.ends and self._t_end - phase.t_end <= _AT_END * self._t_end:
-                # The run ends before it.
+                # The run ends before the event.
                 return self._ended(before, [*phases, replace(phase, event=None)], None)
             phase = replace(phase, jump=jump)
             phases.append(phase)
@@ -210,7 +210,7 @@ class PhaseMarch:
     def _accumulated(
         self, before: Jump | None, phases: list[Phase], phase: Phase, event: Event
     ) -> PhasedRun:
-        """Return the run up to where events have no time between them."""
+        """Return the run up to the time at which events follow each other without time between."""
         if not phases:
             rule, got = "must leave a time before the first event", f"{event.name!r} at once"
             repair = "Begin in a mode in which a joint keeps the gap closed."
@@ -226,7 +226,7 @@ class PhaseMarch:
         return PhasedRun(before, tuple(phases), outcome)
 
     def _leave(self, phases: list[Phase], count: int) -> None:
-        """Follow the contacts of the first `count` phases, and thin these, if not yet done."""
+        """Record contacts of the first `count` phases, and thin these phases, if not yet done."""
         for k in range(self._left, count):
             if isinstance(self._integrator, SteppedIntegrator):
                 self._contacts.follow(phases[k])
@@ -252,9 +252,9 @@ class PhaseMarch:
 
 @final
 class _Contacts:
-    """Contacts by penalty that steps do not resolve, across the phases of one mode.
+    """Detects contacts by penalty that steps do not resolve, across the phases of one mode.
 
-    Each phase was judged by itself, without contacts in which it begins or ends.
+    The run of each phase checks its own contacts, without those in which it begins or ends.
     """
 
     def __init__(self) -> None:
@@ -263,7 +263,7 @@ class _Contacts:
         self._missed: MissedContact | None = None
 
     def follow(self, phase: Phase) -> None:
-        """Follow the contacts of the next phase."""
+        """Record the contacts of the next phase."""
         system = phase.mode.system
         if system is not self._system:
             self._missed = self.missed()
@@ -288,15 +288,15 @@ def _short(phase: Phase, t_end: float) -> bool:
 
 
 def _stays_closed(phase: Phase, impact: Event) -> bool:
-    """Whether a gap opens by round-off of its coordinates only, between two of its impacts."""
+    """Return whether a gap opens by round-off only between two of its impacts."""
     g, rate, size = function_along(phase, impact)
-    # The height of a parabola with these rates at its ends, since steps may not show it.
+    # The height of a parabola with these rates at its ends; steps may be too long to show it.
     height = np.max(np.abs(rate)) * phase.duration / 4
     return bool(max(np.max(np.abs(g)), height) <= _RESTING * np.max(size))
 
 
 def _in_steps(integrator: Integrator, window: float, least: int) -> Integrator:
-    """Return the integrator, with a fixed step so short that it takes some steps at least."""
+    """Return the integrator, with a fixed step of at most 1/`least` of the window."""
     if isinstance(integrator, SteppedIntegrator) and isinstance(integrator.steps, FixedSteps):
         step = min(integrator.steps.step, window / least)
         return integrator.with_steps(FixedSteps(step))

@@ -48,7 +48,7 @@ class Wait:
 
     @staticmethod
     def until(impact: Impact, system: MechanicalSystem, state: State) -> Wait:
-        """Return the time from a state until an impact, with what its derivative needs."""
+        """Return the time from a state until an impact, with the data for its derivative."""
         t, q, v = float(np.real(state[0])), state[1], state[2]
         p = gap_partials(system, impact, (t, q, v))
         return Wait(p, float(p.q @ v + p.t), v, allowed(system, t, q, v).a)
@@ -78,7 +78,7 @@ class Strike:
     def of(
         mode: ModeSystem, impacts: Sequence[Impact], plastic: bool, state: State, *, apart: bool
     ) -> Strike:
-        """Return solved impacts at a state; `apart` from those before, they have their own time."""
+        """Solve impacts at a state; if `apart` from earlier ones they have a time of their own."""
         wait = Wait.until(impacts[0], mode.system, state) if apart else None
         return Strike(mode, struck(mode.system, impacts, plastic, state), wait)
 

@@ -1,4 +1,4 @@
-"""Phases of a run with events of which only some states are kept."""
+"""Phases of a run with events, reduced to some of their states."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ def _with_states(phase: Phase, arrays: dict[str, Array]) -> Phase:
 
 
 def thinned(keep: int | Array) -> Callable[[Phase], Phase]:
-    """Return a function that keeps the ends of a phase, and some states between them.
+    """Return a function that reduces a phase to the states at its ends, and some between them.
 
-    An int k keeps every k-th step; times of the run, ascending, keep states interpolated there.
+    An int k keeps every k-th step; an array of times of the run, ascending, s, keeps states
+    interpolated at these.
     """
 
     def thin(phase: Phase) -> Phase:

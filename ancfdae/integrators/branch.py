@@ -239,7 +239,7 @@ def followed(
 
 
 def _settled(form: Form, place: Place, t: float, q: Array, aim: Array) -> Array:
-    """Return the configuration nearest to `aim` to which constraints at time t let q move."""
+    """Return the configuration q, (n_q,), nearest to `aim` that constraints at time t permit."""
     system, share = form.system, 1.0
     none = np.zeros(system.n_lam)
     for _ in range(_MOVES):

@@ -27,9 +27,9 @@ _TRIED = 8
 
 
 class Trajectory(NamedTuple):
-    """States at k times, with their design derivatives or None; shapes as in `Points`.
+    """States at k times t, with their design derivatives or None; shapes as in `Points`.
 
-    `a`, (k, n_q), are the accelerations of the solver where the times are ends of steps.
+    `a`, (k, n_q), are the accelerations of the solver if the times are ends of steps.
     """
 
     t: Array
@@ -200,7 +200,7 @@ class Quadrature:
     def _parts(
         self, points: Points, integrands: Sequence[Integrand]
     ) -> list[tuple[Integrand, PartialIntegral]]:
-        """Return the integrals over a part; only integrands that read multipliers get them."""
+        """Return the integrals over the points; only integrands that read multipliers get these."""
         parts = [(x, x.part(points)) for x in integrands if x not in self._readers]
         if points.lam is None:
             self._readers.update(x for x, part in parts if part.not_finite is not None)

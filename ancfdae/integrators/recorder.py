@@ -124,7 +124,7 @@ class SolutionRecorder:
         return q, v, a, lam
 
     def take(self, t: Array, control: tuple[float, ...] = ()) -> None:
-        """Count rows that were written, at times t, and note the state of step control."""
+        """Add rows that are already written, at times t, s, and store the state of step control."""
         self._arrays[0][self.instants : self.instants + len(t)] = t
         self.instants += len(t)
         self._control = control

@@ -108,7 +108,7 @@ def consistent_start(
 
 
 def at_rest(v: Array, side: Array) -> bool:
-    """Return whether v and `side` vanish: side is the velocities, or accelerations, of drivers."""
+    """Return whether v and `side` are zero: velocities or accelerations that drivers prescribe."""
     return not (v.any() or side.any())
 
 
@@ -269,7 +269,7 @@ class AccelerationsAdjoint:
         return *self._on_states(mu, zeta), on_b
 
     def matrices(self) -> tuple[Array, Array]:
-        """Return the derivatives of on_q and of on_v in on_a, shape (n_q, n_q) each."""
+        """Return the Jacobians (da/dq)^T and (da/dv)^T of the accelerations, (n_q, n_q) each."""
         n_q, n_lam = self._system.n_q, self._system.n_lam
         return self._on_states(
             *solve_transposed(self._factors, np.eye(n_q), np.zeros((n_lam, n_q)))
@@ -414,11 +414,11 @@ def _close_gap(
 def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float) -> None:
     """Raise InconsistentStartError if the declared start violates a constraint beyond round-off.
 
-    |Phi_k| / |Phi_qk| is the distance to the constraint; it is measured against |q|, and
-    likewise |Phi_q v - nu| / |Phi_qk| against |v|, all in the norm of the weights. Both ratios are
-    free
-    of units. A driver that starts at rest gives speeds a size, too: sqrt(|q| |q''|) of the
-    accelerations that it prescribes.
+    |Phi_k| / |Phi_qk| is the distance to the constraint; it is measured against |q|, and likewise
+    |Phi_q v - nu| / |Phi_qk| against |v|, all in the norm of the weights. Both ratios are free of
+    units. A driver that starts at rest gives speeds a size, too: sqrt(|q| |q''|) of the
+    accelerations
+    that it prescribes.
     """
     pattern, values = system.constraint_pattern, system.constraint_q(t, q)
     squared = values.real**2 / system.weights[pattern.columns]

@@ -5,9 +5,9 @@ Small matrices K are solved by their singular values, large sparse ones by
     [ a E    K  ] [ r ]   [ b ]
     [ K^T  -a E ] [ x ] = [ 0 ],     x = (K^T K + a^2 E)^-1 K^T b,
 
-whose matrix is regular for any rank of K, and by iterative refinement: the error for a singular
-value s falls by a^2 / (a^2 + s^2) a pass, and the null space of K does not enter if b is in the
-range of K; the part of b outside adds round-off from the null space, up to some 1e-2 of that part.
+whose matrix is regular for any rank of K, and by iterative refinement. The error for a singular
+value s falls by a^2 / (a^2 + s^2) in each iteration. The null space of K does not enter if b is in
+the range of K; the part of b outside adds round-off from the null space, up to 1e-2 of that part.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class LeastNorm:
             self._lu = _augmented(matrix)
 
     def solve(self, b: Array) -> Array:
-        """Return K^+ b, the least-norm solution, for a vector b, real or complex."""
+        """Return the least-norm solution K^+ b, (n,), for a real or complex vector b, (m,)."""
         if self._pinv is not None:
             product: Array = self._pinv @ b
             return product

@@ -8,13 +8,16 @@ with a constant 0/1 matrix.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 import scipy
 
-from ancfdae.kernels import Csr, csr_rows
+from ancfdae.kernels import csr_rows
 from ancfdae.numerics.arrays import Array
+
+#: A matrix in compressed sparse rows: where rows begin, columns, values.
+Csr: TypeAlias = tuple[Array, Array, Array]
 
 
 @final
@@ -103,7 +106,7 @@ class SparsityPattern:
         return self._first, self.columns
 
     def index(self, rows: Array, columns: Array) -> Array:
-        """Return the indices in the value vector of positions, which must be in the pattern.
+        """Return indices in the value vector, in their shape, of positions in the pattern.
 
         Rows and columns are broadcast.
         """
@@ -111,7 +114,7 @@ class SparsityPattern:
         return np.searchsorted(entries, self._flattened(rows, columns))
 
     def _flattened(self, rows: Array, columns: Array) -> Array:
-        """Return the flat indices of entries in the dense matrix, row by row."""
+        """Return indices of entries, in their shape, in the dense matrix flattened row by row."""
         return np.asarray(rows, dtype=np.int64) * self.shape[1] + columns
 
     def gather(self, rows: Array, columns: Array, contributions: Array) -> Array:

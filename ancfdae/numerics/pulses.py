@@ -55,7 +55,7 @@ def find_pulses(t: Array, values: Array, least: int = _STEPS[0]) -> Pulses:
 
 
 def _off(values: Array, steps: int) -> Array:
-    """Return the largest deviation of the columns from straight lines at every time, (n_t,)."""
+    """Return how far the columns of `values` deviate from straight lines over `steps`, (n_t,)."""
     each = (len(values) - 1) // steps
     known, share = values[::each], np.arange(each)[:, None, None] / each
     lines = (known[:-1] + share * np.diff(known, axis=0)).swapaxes(0, 1)

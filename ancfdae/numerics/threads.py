@@ -1,8 +1,8 @@
 """One thread for the libraries of linear algebra while a computation of this package runs.
 
-The matrices of a mechanism are small: a factorisation takes microseconds, and the threads of a BLAS
-library then spend more time in waiting for each other than in the factorisation (a step of `Radau`
-on a spatial beam of ten elements takes twenty to eighty times as long with two threads).
+The matrices of a mechanism are small: a factorisation takes microseconds. The threads of a BLAS
+library then spend more time in waiting for each other than in the factorisation. (A step of `Radau`
+on a spatial beam of ten elements takes twenty to eighty times as long with two threads.)
 
 The limit of OpenBLAS holds for the whole process. Computations that need it are therefore counted:
 the first one sets it, the last one restores the user's setting, in whatever Python thread it ends.

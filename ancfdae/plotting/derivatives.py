@@ -34,8 +34,7 @@ def history(
     """Draw observables over time, with a band for each design variable.
 
     The band is observable ± |d(observable)/db b| percent/100: the effect of changing the variable
-    by
-    this percentage, to first order, with the exact derivative of the computed motion.
+    by this percentage, to first order, with the exact derivative of the computed motion.
 
     Parameters
     ----------

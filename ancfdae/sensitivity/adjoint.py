@@ -83,8 +83,8 @@ class Adjoint(GradientMethod):
     memory : str or float, optional
         Memory limit for stored states, for example ``"200 MB"``, or a number of bytes. If the run
         needs more, as few parts of it as possible are integrated again during the backward pass
-        (docs/theory/08-adjoint.md). For `HHT` and `Radau` at steps that are known in advance; with
-        events under error control, too, and phases between events are the parts.
+        (docs/theory/08-adjoint.md). For `HHT` and `Radau` at steps that are known in advance. With
+        events also under error control; the parts are then the phases between events.
     """
 
     memory: str | float | None = None
@@ -132,7 +132,7 @@ class Adjoint(GradientMethod):
 
 
 _UNITS = {"B": 1, "kB": 10**3, "MB": 10**6, "GB": 10**9}
-#: Memory of a part in units of its states: they, their partials, and intermediates of these.
+#: Memory of a part over the memory of its states: states, their partials, and intermediate results.
 COPIES = 3
 
 
@@ -269,7 +269,7 @@ class _Watched:
 
 @final
 class _Backward:
-    """Executes a checkpoint schedule; the solution `last` is the last part of the run."""
+    """Executes a checkpoint schedule; `last` is the solution of the last part of the run."""
 
     last: Solution
 

@@ -236,7 +236,7 @@ class _BackwardRun:
     def _accelerated(
         self, mu: Array, mu_tau: Array, products: Array, factors: Factorization
     ) -> _Adjoint:
-        """Return the end state completed by (36) and the second time derivative of (37)."""
+        """Return the adjoint state at the end time, with mu'' and zeta from (36) and (37)''."""
         first, second = self._end_rates
         pattern, Phi_q = self._system.constraint_pattern, self._local.Phi_q
         moving = np.array([pattern.dot(row, -mu_tau) for row in Phi_q[-3:]])
@@ -272,7 +272,7 @@ class _BackwardRun:
         return _Adjoint(mu, mu_tau, x, zeta, acceleration(c, x, before.A))
 
     def _start_terms(self, first: _Adjoint) -> Array:
-        """Return mu^T M v_b - (H_v + (M mu)' - f_v^T mu) q_b at t_1, with mu' = -mu_tau."""
+        """Return mu^T M v_b - (H_v + (M mu)' - f_v^T mu) q_b at t_1, (n_b,), with mu' = -mu_tau."""
         system = self._system
         initial = consistent_start(system, self._matrices, 0.0)[0]
         dot = system.pattern.dot_transposed

@@ -42,7 +42,7 @@ class Perturbation(Method):
 
     @abc.abstractmethod
     def quotient(self, size: float, base: Array, moved: Sequence[Array]) -> Array:
-        """Return the derivative from values of the unperturbed run and of the perturbed ones."""
+        """Return the derivative, shape of `base`, from values of unperturbed and perturbed runs."""
 
     def differentiate(self, run: Run) -> Solution:
         """Return the solution with design derivatives of its trajectory, one variable at a time.
@@ -152,7 +152,7 @@ class FiniteDifference(Perturbation):
         return (step, -step) if self.central else (step,)
 
     def quotient(self, size: float, base: Array, moved: Sequence[Array]) -> Array:
-        """Return the derivative: difference of values over the perturbation."""
+        """Return the derivative, difference of values over the perturbation; shape of `base`."""
         step = size * self.relative_step
         difference = (moved[0] - moved[1]) / 2 if self.central else moved[0] - base
         return np.asarray(difference / step)
@@ -184,7 +184,7 @@ class ComplexStep(Perturbation):
         return super()._changed(run, solution)
 
     def sizes_of(self, system: MechanicalSystem) -> Array:
-        """Return the magnitudes of the design variables, one for zero, shape (n_b,)."""
+        """Return the magnitudes of the design variables, (n_b,), with 1 for a zero variable."""
         return design_sizes(system)
 
     def changes(self, size: float) -> Sequence[complex]:
@@ -192,5 +192,5 @@ class ComplexStep(Perturbation):
         return (1j * STEP * size,)
 
     def quotient(self, size: float, base: Array, moved: Sequence[Array]) -> Array:
-        """Return the derivative: imaginary part of the perturbed value over the step."""
+        """Return the derivative, imaginary part of the perturbed value over the step; its shape."""
         return np.asarray(moved[0].imag / (STEP * size))

@@ -19,10 +19,11 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem, require_no_controllers
+from ancfdae.equations.plans import Plan
 from ancfdae.equations.saddle_points import Prepared, saddle_point, solve, velocity_side
 from ancfdae.errors.kinds import InvalidInputError, SingularMatrix
 from ancfdae.errors.outcomes import Verdict
-from ancfdae.kernels import RULES, Plan, Rest, finite, norm
+from ancfdae.kernels import RULES, Rest, finite, norm
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 
@@ -224,7 +225,7 @@ class Balance:
 
     @cached_property
     def M_0(self) -> Array:
-        """Entries of the mass matrix at the start, on the pattern of the system."""
+        """Entries of the mass matrix at the start on the pattern of the system, (nnz,)."""
         return self.system.mass(self.q_0)
 
     @cached_property
@@ -244,7 +245,7 @@ class Balance:
         return saddle_point(self.system, self.t, self.q_0)
 
     def Phi_q(self, q: Array) -> Array:
-        """Return the constraint Jacobian at q, entries on its pattern."""
+        """Return the constraint Jacobian at q, entries on its pattern, (nnz,)."""
         return self.system.constraint_q(self.t, q)
 
     def reactions(self, Phi_q: Array, lam: Array) -> Array:
@@ -266,7 +267,7 @@ class Balance:
         return np.zeros_like(q), np.zeros(self.system.pattern.size)
 
     def tangent(self, s: float, q: Array, lam: Array) -> Array:
-        """Return the tangent stiffness K = -dQ/dq + d(Phi_q^T lam)/dq, entries on its pattern."""
+        """Return the tangent stiffness K = -dQ/dq + d(Phi_q^T lam)/dq on its pattern, (nnz,)."""
         rest = np.zeros((1, len(q)))
         K = only(self.system.linearise(np.array([self.t]), q[None], rest, rest, lam[None]).f_q)
         if s < 1.0:
@@ -399,8 +400,7 @@ class Balance:
         Coordinates carry eps |q|, which forces multiply by K, and their sums round; all terms by
         their magnitude. Actual round-off is a tenth of this bound (docs/measurements.md, "Modes").
         Where the bound is too small, as of a mass near the origin on a spring from afar, round-off
-        is
-        measured along parts of dq, if that is given.
+        is measured along parts of dq, if that is given.
         """
         system, pattern = self.system, self.system.pattern
         blur = pattern.dot(np.abs(K.real), np.abs(q.real))
@@ -419,7 +419,7 @@ class Balance:
         )
 
     def _irregular(self, K: Array, q: Array, lam: Array, dq: Array) -> float:
-        """Return the norm of changes of forces that K does not explain, for moves of about dq.
+        """Return the size of force changes beyond K dq that random moves of the size of dq cause.
 
         Moves of twice the correction change the round-off of the forces; the curvature of the
         forces, which is of second order, is below it where Newton's method converges.
@@ -440,8 +440,7 @@ class Balance:
         """Raise InvalidInputError if a driver moves at time t: inertia forces would be missing.
 
         They matter if M v^2/|q|, v the velocities that the joints prescribe, is more than the
-        round-off
-        of forces.
+        round-off of forces.
         """
         system, q = self.system, self.q_0.real
         nu = velocity_side(system, self.t, q).real

@@ -316,7 +316,7 @@ class _Place:
 
     @property
     def digits(self) -> float:
-        """Changes of the coordinates that may be round-off, in the norm of the weights."""
+        """Bound of the round-off of coordinates at an equilibrium, in the norm of the weights."""
         return _DIGITS * Balance(self.system, 0.0, self.at.q, self.at.lam).extent
 
     def leads_to(self, q: Array, p: float) -> bool:
@@ -394,7 +394,7 @@ class _Path:
         return ahead
 
     def _next(self, place: _Place) -> float:
-        """Return the next parameter: after a step, or where a step failed if that is near now."""
+        """Return the next parameter of the path: a step on, or where a step failed if near."""
         lost, room = abs(self._lost - place.p), abs(self._to - place.p)
         nearer = lost < np.inf and lost <= _AGAIN * self._failed
         if nearer and not np.any(_SAFE * place.ahead[:1] <= lost):
@@ -541,7 +541,7 @@ class _Search:
         return None
 
     def _room(self, p: float, sense: float) -> float:
-        """Return the distance from p to the end of the range in the direction `sense`."""
+        """Return the distance from parameter p to the end of its range in the direction `sense`."""
         ends = np.array(self._ends)
         return float(np.max(ends) - p if sense > 0 else p - np.min(ends))
 

@@ -4,7 +4,7 @@
 
 K q_b + Phi_q^T lam_b = Q_b - (Phi_q^T lam)_b,      K = (Phi_q^T lam)_q - Q_q Phi_q q_b = -Phi_b
 
-In K of a thin beam, sums of axial stiffness leave the bending stiffness, (h/L)^2 times as large: a
+In K of a thin beam, sums of axial stiffness leave the bending stiffness, (h/L)^2 times as large. A
 solution with its factors is right to (L/h)^2 units of round-off, and Q_b for a length is the force
 of a stretch that q_b takes back. Both are corrected by refinement: the residual of a solution is
 differentiated as a whole, element by element, before anything is summed

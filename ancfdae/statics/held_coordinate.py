@@ -181,7 +181,7 @@ def stiffness_total(
 
 
 def _totals(system: MechanicalSystem, q: Array, lam: Array, q_b: Array) -> tuple[Array, Array]:
-    """Return the total design derivatives of Q - Phi_q^T lam, at fixed lam, and of -Phi."""
+    """Return total design derivatives of Q - Phi_q^T lam at fixed lam, (n_q, n_b), and of -Phi."""
     rest, still = np.zeros_like(q), np.zeros_like(q_b)
     force = force_total(system, 0.0, q, rest, q_b, still)
     force = force - held_total(system, 0.0, q, rest, lam, q_b)

@@ -112,7 +112,7 @@ class Softness:
 
     @cached_property
     def _values(self) -> Array:
-        """Ritz values of the symmetric part of K in the softest motions."""
+        """Ritz values of the symmetric part of K in the space of the softest motions, ascending."""
         K = self.motions.T @ self.balance.system.pattern.dot(self.K, self.motions)
         return np.linalg.eigvalsh((K + K.T) / 2)
 

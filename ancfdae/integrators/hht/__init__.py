@@ -1,1 +1,1 @@
-"""HHT-I3: its discrete equations, Newton's method, derivative passes and step error."""
+"""The integrator HHT-I3: its discrete equations, Newton's method, derivative passes, step error."""

@@ -1,7 +1,7 @@
-"""The discrete equations of HHT-I3, written once (eqs. 2-6).
+"""The discrete equations of HHT-I3 (eqs. 2-6), the defects of its steps, and small steps.
 
-Forward run, direct differentiation and complex step all read them from here.
-With f = M A + Phi_q^T lam - Q, unknowns (a, lam) at t_{n+1}, and
+Forward run, direct differentiation and complex step all use the equations from here. With f = M A +
+Phi_q^T lam - Q, unknowns (a, lam) at t_{n+1}, and
 
     q = q~ + beta h^2 a,   q~ = q_n + h v_n + h^2 (1/2 - beta) a_n      (2)
     v = v~ + gamma h a,    v~ = v_n + h (1 - gamma) a_n                 (3)
@@ -17,33 +17,30 @@ and its Jacobian
     J = [ M/(1 + alpha) + beta h^2 f_q + gamma h f_v    Phi_q^T ]               (6)
         [ Phi_q                                         0       ].
 
-With small steps Phi is formed from its increment (`small_steps`).
-
 A is the acceleration at t_{n+1}; the algorithm's a stands for t_{n+1} + alpha h. For a constant
 mass (Phi_q^T lam - Q)_n = -M A_n turns R_1 into the paper's (4). Where the mass depends on q, the
-paper's form would multiply M at one instant with an acceleration at another and drop to first
-order; this one stays second order.
+paper's form would multiply M at one time with an acceleration at another and drop to first order;
+this one stays second order.
 
-**What the motion itself misses**, for adjoint-weighted error estimates. Inserted in eqs. (2)-(4),
-with a_n standing for q'' at t_n + alpha h, the smooth solution leaves
+**Defects** are the residuals of the smooth motion, for adjoint-weighted error estimates. Inserted
+in eqs. (2)-(4), with a_n standing for q'' at t_n + alpha h, the smooth solution leaves
 
     q: C h^3 q''',  C = -(1 + 3 alpha^2)/12         from (2), see docs/theory/13-errors.md
     v: h^3 (alpha^2/2 - 1/12) q''''                 from (3)
     A: -alpha h^2/2 q''''                           from A = (a + alpha A_n)/(1 + alpha)
 
-per step, and the shift of v_0 at the start. That a_0 misses alpha^2 h^2/2 q'''' changes a run by
+per step, and the shift of v_0 at the start. The defect alpha^2 h^2/2 q'''' of a_0 changes a run by
 O(h^3) and is left out, as is alpha^2/2 h' (h' - h) q'''' of a change of the step. Time derivatives
 are differences of the accelerations A of the run.
 
-Constraints of HHT-I3 at small steps, from their increments (docs/theory/05-hht-i3.md).
-
-R_2 = Phi/(beta h^2) of eq. (5) has the round-off eps |q|/(beta h^2). Where that disturbs the motion
-the equations and their derivatives take
+**Small steps** take Phi from its increment (docs/theory/05-hht-i3.md). R_2 = Phi/(beta h^2) of
+eq. (5) has the round-off eps |q|/(beta h^2). Where that disturbs the motion the equations and their
+derivatives use
 
     R_2 = (chi Phi_n + I)/(beta h^2),    I = Phi_{n+1} - Phi_n = integral of Phi_q dq - h nu
 
-over s from 0 to 1 at q_n + s dq, t_n + s h, with the round-off eps h |v|, and a part chi of what
-round-off has left in Phi_n. The derivative in the design, dq_b along with dq, is
+over s from 0 to 1 at q_n + s dq, t_n + s h, with the round-off eps h |v|, and a fraction chi of the
+round-off left in Phi_n. The derivative in the design, dq_b along with dq, is
 
     Phi_q,{n+1} dq_b + G q_b,n + g,
     G = chi Phi_q,n + integral of (Phi_q dq)_q - h nu_q,
@@ -74,7 +71,7 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True)
 class Coefficients:
-    """Step size, an array for many steps at once, and Newmark coefficients (below eq. 6)."""
+    """Step size, or an array of them, and Newmark coefficients (below eq. 6)."""
 
     h: Any
     alpha: float
@@ -85,7 +82,7 @@ class Coefficients:
     in_A: float = field(init=False)
 
     def __post_init__(self) -> None:
-        """Derive the coefficients, and what a adds to q, v and A."""
+        """Derive beta and gamma, and the factors of a in q, v and A."""
         beta, gamma = (1 - self.alpha) ** 2 / 4, (1 - 2 * self.alpha) / 2
         for name, value in (
             ("beta", beta),
@@ -98,7 +95,7 @@ class Coefficients:
 
 
 def require_alpha(where: str, alpha: float) -> None:
-    """Refuse a numerical damping that makes HHT-I3 unstable."""
+    """Raise InvalidInputError unless `alpha` lies in [-1/3, 0], where HHT-I3 is stable."""
     require_finite(where, alpha)
     if not -1 / 3 <= alpha <= 0:
         repair = "Use -0.05 for little numerical damping, -0.3 to damp high frequencies strongly."
@@ -108,30 +105,30 @@ def require_alpha(where: str, alpha: float) -> None:
 @final
 @dataclass(frozen=True)
 class Steps:
-    """Step sizes of a run, shape (n,)."""
+    """Step sizes h of a run, shape (n,), s, and its numerical damping alpha."""
 
     h: Array
     alpha: float
 
     def of(self, n: int) -> Coefficients:
-        """Coefficients of the step that ends at instant n."""
+        """Return the coefficients of the step that ends at time point n."""
         return Coefficients(float(self.h[n - 1]), self.alpha)
 
     def ratio(self, n: int) -> float:
-        """Size of the step from instant n relative to the one that ends there."""
+        """Return the size of the step after time point n relative to the step before it."""
         return float(self.h[n] / self.h[n - 1])
 
     def columns(self, steps: slice) -> Coefficients:
-        """Coefficients of the steps that end at some instants; h has shape (k, 1)."""
+        """Return Newmark coefficients of the steps to time points `steps`, with h as a column."""
         h = self.h[steps.start - 1 : steps.stop - 1]
         return Coefficients(h[:, None], self.alpha)
 
 
 class Node(NamedTuple):
-    """State of the recurrence after a step.
+    """State of the recurrence of HHT-I3 after a step.
 
-    a is the acceleration of the algorithm, q'' at t + alpha h, and A is q'' at t. The size of the
-    motion is that of the forces in the step; infinite where no step led here.
+    a is the acceleration of the algorithm, q'' at t + alpha h, and A is q'' at t. `motion` is the
+    norm of the forces in the step, to which corrections are relative; infinite if no step led here.
     """
 
     t: float
@@ -154,7 +151,7 @@ class NodeSensitivity(NamedTuple):
 
 
 def predict(c: Coefficients, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
-    """q~ and v~ of eqs. (2) and (3); arrays of derivatives go through unchanged."""
+    """Return the predictors q~ and v~ of eqs. (2) and (3); also for arrays of derivatives."""
     dq_p, v_p = predict_increment(c, v, a)
     return q + dq_p, v_p
 
@@ -168,12 +165,12 @@ def predict_increment(c: Coefficients, v: Array, a: Array) -> tuple[Array, Array
 
 
 def correct(c: Coefficients, q_p: Array, v_p: Array, a: Array) -> tuple[Array, Array]:
-    """Coordinates and velocities of eqs. (2) and (3) from their predictors and a_{n+1}."""
+    """Return q and v at t_{n+1} by eqs. (2) and (3), from their predictors and a_{n+1}."""
     return q_p + c.in_q * a, v_p + c.in_v * a
 
 
 def rescaled(node: Node, ratio: float) -> Node:
-    """Return the node for a step whose size is `ratio` times that of the step before.
+    """Return the node for a step of `ratio` times the size of the step before.
 
     a changes with h along the straight line through it and A, which keeps second order.
     """
@@ -181,14 +178,14 @@ def rescaled(node: Node, ratio: float) -> Node:
 
 
 def rescaled_sensitivity(node: NodeSensitivity, ratio: float) -> NodeSensitivity:
-    """Return the derivatives of `rescaled`, the state for another step size."""
+    """Return the derivatives of `rescaled`, the node for another step size."""
     if ratio == 1.0:
         return node
     return node._replace(a_b=node.A_b + ratio * (node.a_b - node.A_b))
 
 
 def acceleration(c: Coefficients, a: Array, A_n: Array) -> Array:
-    """Return A at t_{n+1} from the algorithm's a and the A before, also for derivatives."""
+    """Return A at t_{n+1} from the algorithm's a and A_n, (n_q,); or derivatives from theirs."""
     return (c.alpha * c.in_A) * A_n + c.in_A * a
 
 
@@ -211,14 +208,14 @@ def step_matrices(steps: Steps) -> Array:
 
 
 def constraint_error(c: Coefficients) -> float:
-    """Return C h^2 of the module description."""
+    """Return C h^2, the factor of a_{n+1} - a_n in the error of a step; s^2."""
     return -(1 + 3 * c.alpha**2) / 12 * float(c.h) ** 2
 
 
 @final
 @dataclass(frozen=True)
 class Defects:
-    """Defects of the steps that end at each instant, shape (n_t, n_q); row 0 is zero."""
+    """Defects of q, v and A in the step that ends at each time point, (n_t, n_q); row 0 is zero."""
 
     q: Array
     v: Array
@@ -226,7 +223,7 @@ class Defects:
 
     @staticmethod
     def of(t: Array, A: Array, steps: Steps) -> Defects:
-        """Estimate the defects of a run from its instants, three at least, and accelerations."""
+        """Estimate the defects of a run from its times, at least three, and accelerations A."""
         h, alpha = steps.h[:, None], steps.alpha
         snap = np.gradient(np.gradient(A, t, axis=0, edge_order=2), t, axis=0, edge_order=2)
         q, v, on_a = np.zeros_like(A), np.zeros_like(A), np.zeros_like(A)
@@ -236,20 +233,20 @@ class Defects:
         return Defects(q, v, on_a)
 
 
-# Gauss points on (0, 1), exact for polynomials of degree 5 in s.
+# Gauss points and weights on (0, 1), exact for polynomials of degree 5 in s.
 PLACES = (0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15))
 WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
-# Part of the motion that round-off of the constraints may disturb, and of its derivatives.
+# Largest effect of the round-off of constraints, relative to the motion and to its derivatives.
 QUIET, _QUIET_DERIVATIVES = 1e-9, 1e-8
 _EPS = float(np.finfo(float).eps)
-# States of a run from which the size of its coordinates is taken.
+# Number of states of a run from which the norm of its coordinates is computed.
 _SOME = 9
 
 
 def motion_size(
     system: MechanicalSystem, inverse: Array, a: Array, reactions: Array, Q: Array
 ) -> float:
-    """Size of inertia, reactions and forces in one norm, a force per square root of a mass.
+    """Return the norm of inertia, reactions and forces; a force per square root of a mass.
 
     `inverse` is one over the weights of the system.
     """
@@ -264,9 +261,9 @@ def share_of_defect(system: MechanicalSystem, c: Coefficients, q: Array, motion:
 
 
 def small_from(system: MechanicalSystem, run: Solution, alpha: float) -> float:
-    """Return the number of equal steps of a run above which half of them would be small.
+    """Return the number of equal steps of a run above which half of the steps would be small.
 
-    Where the system stands does not count, so that the same runs are foreseen everywhere.
+    It does not depend on where the system stands, so that the same runs are predicted everywhere.
     """
     root = np.sqrt(system.weights)
     some = np.linspace(0, len(run.t) - 1, _SOME).round().astype(int)
@@ -284,7 +281,7 @@ def small_from(system: MechanicalSystem, run: Solution, alpha: float) -> float:
 @final
 @dataclass(frozen=True)
 class ConstraintRow:
-    """Derivative of the constraints over a small step: values of G on their pattern, and g."""
+    """Derivative of the constraints over a small step: entries of G on their pattern, and g."""
 
     G: Array
     g: Array
@@ -293,7 +290,7 @@ class ConstraintRow:
     def of(
         system: MechanicalSystem, c: Coefficients, before: Node, after: Node
     ) -> ConstraintRow | None:
-        """Return the row; None where the step is not small, so that eq. (23) is accurate."""
+        """Return G and g of a step; None where it is not small, so that eq. (23) is accurate."""
         floor = _EPS * norm(before.q, system.weights)
         unit = _QUIET_DERIVATIVES * c.beta * c.h**2
         # The inertia alone decides in most steps; at both ends, since it may pass through zero.
@@ -315,7 +312,7 @@ class ConstraintRow:
 
 
 def small_rows(rows: Sequence[ConstraintRow | None]) -> tuple[Array, Array, Array]:
-    """Return which of k steps are small, (k,), with rows of G and g, zeros of all others."""
+    """Return which of k steps are small, (k,), with rows of G and g, zero for the other steps."""
     some = [row for row in rows if row is not None]
     small = np.array([row is not None for row in rows], dtype=np.int32)
     G, g = (np.zeros((len(rows), *x.shape)) for x in (some[0].G, some[0].g))
@@ -324,7 +321,7 @@ def small_rows(rows: Sequence[ConstraintRow | None]) -> tuple[Array, Array, Arra
 
 
 def node_after(run: Solution, n: int, alpha: float) -> Node:
-    """Return the node that the step to instant n of a run arrived at.
+    """Return the node after the step that ends at time point n of a run.
 
     The accelerations of the run are A; a_{n+1} = (1 + alpha) A_{n+1} - alpha A_n.
     """
@@ -335,7 +332,7 @@ def node_after(run: Solution, n: int, alpha: float) -> Node:
 @final
 @dataclass(frozen=True)
 class Nodes:
-    """States of the recurrence at the instants of a finished run; `first` is its start."""
+    """Nodes of the recurrence at the time points of a finished run; `first` is its start."""
 
     problem: InitialValueProblem
     run: Solution
@@ -343,11 +340,11 @@ class Nodes:
     first: Node
 
     def after(self, n: int) -> Node:
-        """Return the node that the step to instant n arrives at."""
+        """Return the node after the step that ends at time point n."""
         return node_after(self.run, n, self.steps.alpha)
 
     def maybe_small(self) -> Array:
-        """Return for every instant whether the step that ends there may be small, shape (n_t,)."""
+        """Return for every time point whether the step that ends there may be small, (n_t,)."""
         weights = self.problem.system.weights
         h, beta = self.steps.h, self.steps.of(1).beta
         # A run that diverged overflows; its motion is not small.
@@ -358,7 +355,7 @@ class Nodes:
         return np.append(False, _EPS * q[:-1] > allowed)
 
     def row(self, n: int) -> ConstraintRow | None:
-        """Return the row of the step to instant n; None where that is not small."""
+        """Return G and g of the step that ends at time point n; None if it is not small."""
         before = self.first
         if n > 1:
             before = rescaled(self.after(n - 1), self.steps.ratio(n - 1))

@@ -1,7 +1,7 @@
 """Linear passes over a computed HHT-I3 run: direct differentiation and its transpose.
 
-Both read the discrete equations of `equations` linearised at the converged
-states. With c the coefficients, one step of the derivative recurrence is
+Both use the discrete equations of `equations` linearised at the converged states. With c the
+coefficients, one step of the derivative recurrence is
 
     q~_b, v~_b = predictors of q_b and v_b                                        (2), (3)
     A~_b = alpha/(1+alpha) A_b,n
@@ -9,14 +9,14 @@ states. With c the coefficients, one step of the derivative recurrence is
                         (Phi_q q~_b + Phi_b)/(beta h^2) ]                         (22), (23)
     q_b = q~_b + beta h^2 a_b,  v_b = v~_b + gamma h a_b,  A_b = A~_b + a_b/(1+alpha)
 
-where f = M A + Phi_q^T lam - Q with A and lam held. The pass back reads the same matrices of
+where f = M A + Phi_q^T lam - Q with A and lam fixed. The backward pass uses the same matrices of
 coefficients, transposed, and the transpose of the solution, in reverse order.
 
-At small steps the second row takes Phi_q,{n+1} dq~_b + G q_b,n + g for Phi_q q~_b + Phi_b
-(`small_steps`).
+At small steps the second row has Phi_q,{n+1} dq~_b + G q_b,n + g in place of Phi_q q~_b + Phi_b
+(`equations`).
 
-Design partials of many steps are formed at once here. The kernel (`passes.h`) linearises,
-factorises and runs the recurrence step by step; systems of one's own are linearised many steps at
+Design partials of many steps are computed at once here. The kernel (`passes.h`) linearises,
+factorises and runs the recurrence step by step; user-defined systems are linearised many steps at
 once for it.
 """
 
@@ -26,6 +26,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.plans import Plan
 from ancfdae.equations.saddle_points import Prepared
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import Verdict
@@ -43,18 +44,18 @@ from ancfdae.integrators.hht.equations import (
 )
 from ancfdae.integrators.integrator import OnStates, Seeds
 from ancfdae.integrators.problem import InitialValueProblem
-from ancfdae.kernels import RULES, Plan
+from ancfdae.kernels import RULES
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.numerics.progress import progress_bar
 
-# Numbers held at once by a chunk of steps: small enough for the cache (crank-slider, measured:
-# chunks of 16 to 32 steps are 1.4 times faster than 64).
+# Most numbers in the arrays of a chunk of steps, small enough for the cache (crank-slider,
+# measured: chunks of 16 to 32 steps are 1.4 times faster than 64).
 _CHUNK_NUMBERS = 200_000
 
 
 class Packet(NamedTuple):
-    """Steps for the kernel: see `Steps` in `_kernels.pyi`."""
+    """Steps for the kernel: see `differentiate_steps` in `kernels.cpp`."""
 
     h: Array
     q: Array
@@ -69,14 +70,14 @@ class Packet(NamedTuple):
 
 @final
 class CompiledPasses:
-    """Linearised steps of a run, for derivatives and adjoints."""
+    """The kernel's passes over linearised steps of a run, for derivatives and adjoints."""
 
     def __init__(self, system: MechanicalSystem, matrices: SaddlePoint, alpha: float) -> None:
         rules = np.zeros(RULES)
         rules[0] = alpha
         self._system = system
         self._kernel = Prepared(system, matrices, rules, np.dtype(float))
-        # Whether the kernel linearises steps; else their matrices come many steps at once.
+        # Whether the kernel linearises steps; otherwise Python does, many steps at once.
         self.linearises = isinstance(self._kernel.plan, Plan)
 
     def packet(
@@ -87,7 +88,7 @@ class CompiledPasses:
         matrices: Array,
         small: tuple[Array, Array, Array] | None,
     ) -> Packet:
-        """Return steps of sizes h with the states q, v, A and lam at their ends."""
+        """Return the arguments for steps of sizes h with states q, v, A and lam at their ends."""
         plan, (q, v, _, lam), local = self._kernel.plan, states, None
         of_joints = plan.joint_factors(t, 1)[0] if plan.joint_factors else np.ones((1, 1))
         if not self.linearises:
@@ -97,7 +98,7 @@ class CompiledPasses:
         return Packet._make((*rows, local, small))
 
     def forward(self, steps: Packet, right: Array, z: Array, states: Array, lam_b: Array) -> int:
-        """Take steps of direct differentiation; return how many have a regular matrix."""
+        """Take steps of direct differentiation; return the number of steps with regular matrix."""
         given = steps, right, z, states, lam_b
         return self._kernel.go(lambda model, at: model.differentiate_steps(*given, at), 0)
 
@@ -112,7 +113,7 @@ class CompiledPasses:
 
         Raises SingularMatrix.
         """
-        given, count = (steps, seeds, on, *covectors), len(steps.h)
+        given, count = (steps, seeds, (on, *covectors)), len(steps.h)
         if self._kernel.go(lambda model, at: model.pull_back_steps(*given, at), count):
             raise SingularMatrix("a matrix of the pass back is singular")
 
@@ -122,8 +123,8 @@ def differentiate(
 ) -> tuple[list[Array], Verdict]:
     """Run the derivative recurrence forward from the start.
 
-    Returns q_b, v_b, A_b, lam_b, shapes (n_t, n_q, n_b) and (n_t, n_lam, n_b), cut to the steps
-    done, and how the pass ended.
+    Return q_b, v_b, A_b, lam_b, shapes (n_t, n_q, n_b) and (n_t, n_lam, n_b), cut to the completed
+    steps, and how the pass ended.
     """
     system, n_t = nodes.problem.system, len(nodes.run.t)
     n_b, n_q = system.n_b, system.n_q
@@ -152,9 +153,9 @@ def differentiate(
 
 @final
 class _Chunks:
-    """The steps of a run, many at once, as the kernel takes them.
+    """The steps of a run in chunks of several steps, in the form that the kernel takes.
 
-    Matrices of the recurrence are made by `step_matrices` unless they are given.
+    The matrices of the recurrence are those of `step_matrices` unless they are given.
     """
 
     def __init__(self, nodes: Nodes, matrices: Array | None = None) -> None:
@@ -172,9 +173,9 @@ class _Chunks:
         return [slice(k, min(k + size, n_t)) for k in range(1, n_t, size)]
 
     def packet(self, steps: slice) -> tuple[Packet, Array, tuple[Array, Array, Array, Array]]:
-        """Return steps for the kernel, the times at which they end, and their states there.
+        """Return steps for the kernel, their end times, (k,), and their states there.
 
-        Derivatives of constraints over small steps are among them.
+        The steps include derivatives of constraints over small steps.
         """
         before, nodes, run = slice(steps.start - 1, steps.stop - 1), self._nodes, self._nodes.run
         states = run.q[steps], run.v[steps], run.a[steps], run.lam[steps]
@@ -187,7 +188,7 @@ class _Chunks:
 
 
 def _given(system: MechanicalSystem, c: Coefficients, t: Array, states: tuple[Array, ...]) -> Array:
-    """Return the part of the right sides that is known before the pass, (k, n_b, n).
+    """Return the part of the right sides that does not depend on the pass, (k, n_b, n).
 
     Coefficients have the shape (k, 1).
     """
@@ -209,9 +210,9 @@ def advance(
     after: Node,
     row: ConstraintRow | None,
 ) -> NodeSensitivity | None:
-    """Take one step of the derivative recurrence to a computed node; the row is of a small step.
+    """Return the derivatives after one step, from those before, to the computed node `after`.
 
-    None if the matrix there is singular.
+    `row` is the constraint row of a small step, else None. None if the matrix there is singular.
     """
     system, h, t = problem.system, np.array([c.h]), np.array([after.t])
     states = (after.q[None], after.v[None], after.A[None], after.lam[None])
@@ -233,9 +234,9 @@ def pull_back(
 ) -> tuple[Array, NodeSensitivity, float]:
     """Run the transposed recurrence backward (discrete adjoint).
 
-    Returns the gradient, (n_b,), but what goes through the start; covectors on the start, whose
-    products with its derivatives are that; and what the defects of all steps change in the
-    objective.
+    Return the gradient, (n_b,), without the part through the start; the adjoint vectors of the
+    start, whose products with its derivatives are that part; and the change of the objective by the
+    defects of all steps.
     """
     on, matrix = np.zeros((6, nodes.problem.system.n_q)), step_matrices(nodes.steps)
     gradient, on, change = pull_back_part(nodes, seeds, on, matrix, defects, progress)
@@ -250,11 +251,12 @@ def pull_back_part(
     defects: Defects | None = None,
     progress: bool = False,
 ) -> tuple[Array, Array, float]:
-    """Run the transposed recurrence back over a run that is a part of another.
+    """Run the transposed recurrence backward over a run that is a part of another one.
 
-    `on`, (6, n_q), holds covectors on (q_b, v_b, A_b) of its last instant and on (q~_b, v~_b, A~_b)
-    of the step from there; those of its first instant are returned. The matrices are those of
-    `step_matrices` for its steps. Row 0 of the seeds is left out.
+    `on`, (6, n_q), holds adjoint vectors of (q_b, v_b, A_b) at its last time point and of (q~_b,
+    v~_b, A~_b) of the step from there. Return the gradient, the same at its first time point, and
+    the change by defects. The matrices are those of `step_matrices` for its steps. Row 0 of the
+    seeds is left out.
     """
     system, chunks, on = nodes.problem.system, _Chunks(nodes, matrix), on.copy()
     gradient, change = np.zeros(system.n_b), 0.0

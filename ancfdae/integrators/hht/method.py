@@ -1,11 +1,7 @@
-"""HHT-I3 with any control of its steps, and runs at known steps.
+"""The integrator HHT-I3 (eqs. 2-6, Fig. 1) under any step control, and its runs in parts.
 
-A run at known steps, taken part by part, forward and backward.
-
-The node that a part begins with is all that Newton's method needs, so that a part is the same
-whenever it is taken.
-
-(Eqs. 2-6, Fig. 1.)
+A run with steps that are known in advance can be integrated part by part, forward and backward. A
+part starts from a node, the full state of the recurrence, so that it is always the same.
 """
 
 import warnings
@@ -48,7 +44,7 @@ from ancfdae.numerics.arrays import Array
 
 @final
 class Replay(RunInParts):
-    """A run of HHT-I3 at known steps."""
+    """A run of HHT-I3 with steps that are known in advance, integrated part by part."""
 
     def __init__(
         self, problem: InitialValueProblem, steps: Steps, t: Array, newton: tuple[float, int]
@@ -58,11 +54,11 @@ class Replay(RunInParts):
         self.taken, self._contacts = 0, problem.system.contacts()
 
     def start(self) -> Node:
-        """Return the node of the start."""
+        """Return the node at the start of the run."""
         return self._first.node
 
     def part(self, node: Node, first: int, last: int) -> tuple[Solution, Node]:
-        """March over a plan of the known steps."""
+        """Integrate the steps from time point `first` to `last` from the node."""
         recorder, h = SolutionRecorder(self._problem.system, last - first + 1), self._steps.h
         stepper = HHTStepper(self._problem, self._steps.alpha, self._newton, None, recorder)
         recorder.record(*(stepper.recorded((node, None)) if first else stepper.consistent()))
@@ -78,9 +74,9 @@ class Replay(RunInParts):
     def pull_back(
         self, run: Solution, node: Node, first: int, seeds: Seeds, on: Array
     ) -> tuple[Array, Array]:
-        """Run one part of the backward pass; arguments and results of `pull_back_part`."""
+        """Pull adjoint vectors back through one part of the run; see `pull_back_part`."""
         h, alpha, last = self._steps.h, self._steps.alpha, first + len(run.t) - 1
-        # The last step of the part hands on to a step of the size of the next.
+        # After its last step the part predicts a step of the size of the next one.
         matrix = step_matrices(Steps(h[first : last + 1], alpha))[: last - first]
         steps = Steps(h[first:last], alpha)
         begin = rescaled(node, self._steps.ratio(first)) if first else node
@@ -89,12 +85,12 @@ class Replay(RunInParts):
         return gradient, on
 
     def close(self, on: Array, seeds: Seeds, gradient: Array) -> Array:
-        """Pull back through the start of the recurrence."""
+        """Return the gradient, (n_b,), with the part that acts through the start of the run."""
         back = linear_passes.start_covectors(self._steps.of(1), on)
         return through_start(self._problem, self._first, back, seeds, gradient)
 
     def no_covectors(self) -> Array:
-        """Zero adjoint vectors, six for each coordinate, shape (6, n_q)."""
+        """Return zero adjoint vectors, six for each coordinate, shape (6, n_q)."""
         return np.zeros((6, self._problem.system.n_q))
 
 
@@ -105,9 +101,9 @@ def through_start(
     seeds: Seeds,
     gradient: Array,
 ) -> Array:
-    """Add to a gradient what goes through the start of the recurrence."""
+    """Return the gradient, (n_b,), with the part that acts through the start of the recurrence."""
     on = first.pull_back(back)
-    # What an objective reads at t = 0 is the consistent start, not the shifted one.
+    # An objective at t = 0 reads the consistent start, not the shifted start of the recurrence.
     q, v, lam = (
         x if seed is None else x + seed[0]
         for x, seed in ((on.q, seeds.q), (on.v, seeds.v), (on.lam, seeds.lam))
@@ -126,16 +122,16 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     Parameters
     ----------
     steps : StepControl or float
-        `FixedSteps`, `AdaptiveSteps` or `PrescribedSteps`; a number is the step of `FixedSteps`.
+        `FixedSteps`, `AdaptiveSteps` or `PrescribedSteps`; a number is the step of `FixedSteps`, s.
     hht_alpha : float
-        Numerical damping, in [-1/3, 0]. Second order throughout; -1/3 damps frequencies above
-        1/h most. At 0 the multipliers oscillate and do not converge, and a warning is given.
+        Numerical damping, in [-1/3, 0]. Second order throughout; -1/3 damps frequencies above 1/h
+        most. At 0 the multipliers oscillate and do not converge, and a warning is given.
     newton_tolerance : float, optional
-        Estimated error of a and lam after the last iteration, relative to the forces of the
-        motion; free of units. By default 1e-14, with error control rtol/1000 but at most 1e-9.
+        Estimated error of a and lam after the last iteration, relative to the forces of the motion;
+        dimensionless. By default 1e-14, with error control rtol/1000 but at most 1e-9.
     max_iterations : int
-        Newton iterations of a step before it is tried by way of shorter ones (at fixed and given
-        steps, in ten times as many), or given up.
+        Newton iterations of a step before it is solved by way of shorter ones (at fixed and
+        prescribed steps, in ten times as many), or rejected.
     step : float, optional
         Short for ``steps=FixedSteps(step)``; s.
     rtol : float, optional
@@ -192,9 +188,9 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
         return derivatives
 
     def _estimated(self, solution: Solution, scales: Scales) -> Solution:
-        """Return the solution with estimates of its errors.
+        """Return the solution with estimates of its errors, from its accelerations A.
 
-        The accelerations at the instants serve as those of the recurrence.
+        They replace the accelerations of the recurrence.
         """
         scale = constraint_error(Coefficients(1.0, self.hht_alpha)) * np.diff(solution.t) ** 2
         with np.errstate(over="ignore", invalid="ignore"):
@@ -205,13 +201,13 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     def pull_back(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds, progress: bool = False
     ) -> Array:
-        """Return the gradient of an objective by the discrete adjoint."""
+        """Return the gradient of an objective, (n_b,), by the discrete adjoint."""
         first, nodes = self._opened(system, solution)
         gradient, back, _ = linear_passes.pull_back(nodes, seeds, progress=progress)
         return through_start(nodes.problem, first, back, seeds, gradient)
 
     def replay(self, system: MechanicalSystem, t_end: float) -> Replay:
-        """Return the run to `t_end` part by part; its steps must be known before."""
+        """Return the run to `t_end` (s) in parts; its steps must be known in advance."""
         t = self._known_instants(t_end)
         newton = self.newton_tolerance, self.max_iterations
         steps = Steps(self.steps.sizes(t), self.hht_alpha)
@@ -220,7 +216,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     def discretisation_error(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds
     ) -> float:
-        """Return the change of an objective if the steps had no defects (`Defects`); its unit."""
+        """Return the estimated change of an objective if the steps had no `Defects`; its unit."""
         first, nodes = self._opened(system, solution)
         defects = Defects.of(solution.t, solution.a, nodes.steps)
         _, back, change = linear_passes.pull_back(nodes, seeds, defects)
@@ -229,8 +225,8 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     def _opened(
         self, system: MechanicalSystem, solution: Solution
     ) -> tuple[RecurrenceStart, Nodes]:
-        """Return the start of the recurrence and the states of a run, for a pass over it."""
-        # The length of a run of one instant scales nothing.
+        """Return the start of the recurrence and the nodes of a run, for a pass over it."""
+        # The length of a run with one time point does not matter.
         steps, problem = (
             self.steps_of(solution),
             InitialValueProblem.of(system, float(solution.t[-1]) or 1.0),
@@ -239,5 +235,5 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
         return first, Nodes(problem, solution, steps, first.node)
 
     def steps_of(self, solution: Solution) -> Steps:
-        """Return the step sizes of a run of this integrator, shape (n,); s."""
+        """Return the step sizes of a run of this integrator, shape (n,), s, with its alpha."""
         return Steps(self.sizes(solution), self.hht_alpha)

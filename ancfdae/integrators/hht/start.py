@@ -4,15 +4,15 @@ a_n stands for q'' at t_n + alpha h, so a_0 looks back from the consistent start
 
     a_0 = a - s j,      j = q'''(0),
 
-and a smooth error of (2) in the constraints, C h^3 Phi_q q''' per step with
-C = -(1 + 3 alpha^2)/12, forces Phi_q v_n to carry C h^2 Phi_q q''' for ever. A start with
-Phi_q v_0 = 0 would reach that value through a transient of first order in the multipliers;
-starting with it leaves them second order:
+and a smooth error of (2) in the constraints, C h^3 Phi_q q''' per step with C = -(1 + 3
+alpha^2)/12, forces Phi_q v_n to be C h^2 Phi_q q''' throughout. A start with Phi_q v_0 = 0 would
+reach that value through a transient of first order in the multipliers; starting with it leaves them
+second order:
 
     v_0 = v + dv,   M dv + Phi_q^T eta = 0,   Phi_q dv = C h^2 S.
 
 **Damping.** Where damping makes a mode decay at a rate d faster than 1/h, q''' = -d q'' is huge,
-and looking back along it explodes. Then the acceleration a time s later is taken first,
+and extrapolation backward along it is useless. Then the acceleration a time s later is taken first,
 
     a+ = a + s j_1,   M j_1 + Phi_q^T lam' = Q_q v + Q_v a+ + Q_t - (Phi_q')^T lam - M' a,
                       Phi_q j_1 = S(a),
@@ -23,8 +23,8 @@ a+ for a, gives j_2, and
     a_0 = a+ - 2 s j_2,      S = S(a+) in dv.
 
 In the mode a+ = a/(1 + s d) and a_0 = a (1 + 3 s d)/(1 + s d)^2: below 9/8 a at any step, and
-falling to zero with what is left after the decay. For s d << 1 both differ by O(h^2) from the
-formulas without it, and v_0 by O(h^3): the order stays two.
+tending to zero with the mode for s d >> 1. For s d << 1 both differ by O(h^2) from the formulas
+without damping, and v_0 by O(h^3): the order stays two.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from ancfdae.numerics.linear_solvers import Factorization
 @final
 @dataclass(frozen=True)
 class _Jerk:
-    """The third derivative at an acceleration (j_1 or j_2 of the module description)."""
+    """The third derivative of q at an acceleration a (j_1 or j_2 of the module), and lam'."""
 
     a: Array
     jerk: Array
@@ -64,11 +64,11 @@ class _Jerk:
     def of(
         system: MechanicalSystem, x: InitialState, a: Array, s: float, factors: Factorization
     ) -> _Jerk:
-        """Solve for the start of the recurrence; `factors` belong to M - s Q_v."""
+        """Return the third derivative at the acceleration a; `factors` belong to M - s Q_v."""
         side = jerk_side(system, x.t, x.q, x.v, a)
         jerk, lam_rate = solve(factors, _force_rates(system, x, a), side)
         if jerk.dtype.kind == "c":
-            # Q_v is that of the real part; what its imaginary part does comes by one more sweep.
+            # Q_v is that of the real part; one more sweep adds the effect of its imaginary part.
             force = _force_rates(system, x, a + s * jerk) - system.mass_times(x.q, jerk)
             force = force - reaction(system, x.t, x.q, lam_rate)
             moved = system.constraint_pattern.dot(system.constraint_q(x.t, x.q), jerk)
@@ -80,9 +80,9 @@ class _Jerk:
 @final
 @dataclass(frozen=True)
 class RecurrenceStart:
-    """The start for a first step, with s = -alpha h, scale = C h^2 and one jerk or two.
+    """The start of the recurrence for a first step h: s = -alpha h, scale = C h^2, the jerks.
 
-    The factors are those of M and of M - s Q_v, with Phi_q.
+    `factors` belong to M, `damped` to M - s Q_v, each with Phi_q.
     """
 
     system: MechanicalSystem
@@ -97,7 +97,7 @@ class RecurrenceStart:
 
     @staticmethod
     def of(problem: InitialValueProblem, c: Coefficients) -> RecurrenceStart:
-        """Solve the equations of the module description."""
+        """Return the start for a first step with the coefficients c; see the module."""
         system, matrices, x = problem.system, problem.matrices, problem.initial
         s, scale = -c.alpha * c.h, constraint_error(c)
         M, Phi_q = system.mass(x.q), system.constraint_q(x.t, x.q)
@@ -113,13 +113,13 @@ class RecurrenceStart:
 
     @property
     def node(self) -> Node:
-        """The state that the first step starts from."""
+        """The node from which the first step starts."""
         x, last = self.initial, self.jerks[-1]
         a = last.a - len(self.jerks) * self.s * last.jerk
         return Node(x.t, x.q, x.v + self.dv, a, x.lam, x.a)
 
     def sensitivity(self, derivative: InitialSensitivity) -> NodeSensitivity:
-        """Differentiate `node`; the derivative is that of the consistent start."""
+        """Return the derivatives of `node` from those of the consistent start."""
         system, x, s = self.system, self.initial, self.s
         t, q, v, q_b, v_b = x.t, x.q, x.v, derivative.q_b, derivative.v_b
         a_b = derivative.a_b
@@ -140,9 +140,9 @@ class RecurrenceStart:
         return NodeSensitivity(q_b, v_b + dv_b, a_0b, derivative.lam_b, derivative.a_b)
 
     def jerk_total(self, jerk: _Jerk, derivative: InitialSensitivity, a_b: Array) -> Array:
-        """Differentiate a third derivative along a_b of the acceleration that it is taken at.
+        """Return total design derivatives of a third derivative of q, (n_q, n_b), from a_b.
 
-        Q_v (a + s j) has the derivative s Q_v j_b, which stands in the matrix.
+        Q_v (a + s j) has the derivative s Q_v j_b, which is part of the matrix.
         """
         system, x, j = self.system, self.initial, jerk.jerk
         t, q, v, q_b, v_b = x.t, x.q, x.v, derivative.q_b, derivative.v_b
@@ -154,10 +154,10 @@ class RecurrenceStart:
         return solve(self.damped, right, -side)[0]
 
     def pull_back(self, back: NodeSensitivity) -> Covectors:
-        """Transpose of `sensitivity`: return adjoint vectors of the start from the node's.
+        """Return adjoint vectors of the consistent start from those of the node.
 
-        With P = Phi_q j - S, the third time derivative of Phi, the rules are P_q = (Phi_q)^(3),
-        P_v = 3 Phi_q'' and P_a = 3 Phi_q'.
+        This is the transpose of `sensitivity`. With P = Phi_q j - S, the third time derivative of
+        Phi, the rules are P_q = (Phi_q)^(3), P_v = 3 Phi_q'' and P_a = 3 Phi_q'.
         """
         total, on_a = self._pull_back_shift(back.v_b)
         on_a = on_a + back.a_b
@@ -170,7 +170,7 @@ class RecurrenceStart:
         return total.plus(on_start)
 
     def _pull_back_shift(self, on_dv: Array) -> tuple[Covectors, Array]:
-        """Pull an adjoint vector of dv back; return the one of the acceleration in S, too."""
+        """Return adjoint vectors of the start, and of the acceleration in S, from one of dv."""
         system, x, scale = self.system, self.initial, self.scale
         t, q, v, a, dv = x.t, x.q, x.v, self.jerks[-1].a, self.dv
         still, B = np.zeros_like(v), system.constraint_pattern.dot_transposed
@@ -188,7 +188,7 @@ class RecurrenceStart:
         return Covectors(-on_q, -on_v, still, np.zeros_like(x.lam), -on_b), on_a
 
     def _pull_back_jerk(self, jerk: _Jerk, on_jerk: Array) -> tuple[Covectors, Array]:
-        """Pull a covector on a third derivative back; that on its acceleration comes beside."""
+        """Return adjoint vectors of the start, and of the jerk's acceleration, from its own."""
         system, x = self.system, self.initial
         (t, q, v, a, lam), j = x, jerk.jerk
         K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
@@ -213,15 +213,15 @@ class RecurrenceStart:
 
 
 def _force_rates(system: MechanicalSystem, x: InitialState, a: Array) -> Array:
-    """Return -f' along the motion with Q_v times the given acceleration.
+    """Return -f', (n_q,), along the motion, with Q_v times the given acceleration a.
 
-    (dM/dt) a = (M a)_q v takes that of the state.
+    (dM/dt) a = (M a)_q v uses the acceleration of the state.
     """
     return -residual_along(system, x.t, (x.q, x.v, x.a, x.lam), StateDirection(1.0, x.v, a))
 
 
 def _damping(system: MechanicalSystem, x: InitialState) -> Array:
-    """Values of -Q_v at the start, at its real part."""
+    """Return -Q_v at the real part of the start, entries on the pattern, (nnz,)."""
     states = (y.real[None] for y in (x.q, x.v, x.a, x.lam))
     f_v = system.linearise(np.array([x.t]), *states).f_v
     assert f_v is not None

@@ -1,31 +1,25 @@
-"""A step of HHT-I3: Newton's method, shorter steps where it stalls, and the error.
+"""A step of HHT-I3: Newton's method, continuation where it fails, and the error of the step.
 
-Newton's method for steps of HHT-I3, taken by a kernel: its rules, and how steps end.
+**Newton's method** (docs/theory/05-hht-i3.md) runs in a kernel, `kernels/march.h`.
 
-Derivation: docs/theory/05-hht-i3.md. `kernels/march.h` iterates.
-
-Continuation in the step: where Newton's method stalls, the solution by way of shorter steps.
-
+**Continuation** finds the solution of a step by way of shorter steps where Newton's method fails.
 From the same state the equations of a step s h, with 0 < s <= 1, have one solution near the motion
-if s is small. The branch of solutions that begins there is followed in s: guesses lie on the cubic
-through the last four solutions, and count only where Newton's method contracts from its first
-correction on, so that the branch is not left. The first rate of contraction is that of the distance
-of the guess, which goes with the stride to the power of the number of solutions. The branch ends at
-s = 1, with the solution of the full step, or turns back before: no larger step has a solution that
-belongs to this motion.
-
-Only guesses differ, not the equations; what they give has the derivatives of any other step.
-
-A step of HHT-I3: of the motion and, if asked for, of its design derivatives.
+if s is small. The branch of solutions that begins there is followed in s. Guesses lie on the cubic
+through the last four solutions; they are accepted only where Newton's method contracts from its
+first correction on. The first rate of contraction is proportional to the distance of the guess,
+which goes with the stride to the power of the number of solutions. The branch ends at s = 1, with
+the solution of the full step, or turns back before: no larger step has a solution that belongs to
+this motion. Only guesses differ, not the equations; the solution has the derivatives of any other
+step.
 
 **Error of a step** (Negrut, Rampalli, Ottarsson & Sajdak 2007, section 3). Inserting the smooth
-solution in eq. (2), with a_n standing for q'' at t_n + alpha h, the position update misses
+solution in eq. (2), with a_n standing for q'' at t_n + alpha h, leaves in the position update
 
     delta = C h^3 q''' = C h^2 (a_{n+1} - a_n),     C = -(1 + 3 alpha^2)/12,
 
-so the increment of the acceleration estimates it at no cost, and at frozen steps that of a_b its
-derivative in the design. The tolerance bounds delta / h, which falls with h^2; the original bounds
-delta, and its runs then err by the tolerance to the power 2/3.
+so the increment of the acceleration estimates it at no cost, and at fixed steps the increment of
+a_b its derivative in the design. The tolerance bounds delta / h, which falls with h^2; the original
+bounds delta, and its runs then err by the tolerance to the power 2/3.
 """
 
 from __future__ import annotations
@@ -39,6 +33,7 @@ from typing import ClassVar, NamedTuple, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.plans import CalledPlan, ListPlan
 from ancfdae.equations.saddle_points import Prepared
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.hht import linear_passes
@@ -68,26 +63,25 @@ from ancfdae.integrators.step_control.contracts import (
     Record,
     Tolerance,
 )
-from ancfdae.kernels import FILTER, CalledPlan, ListPlan, March, norm
+from ancfdae.kernels import FILTER, March, norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 
-# A matrix is replaced when an iteration shrinks the correction by less than this factor, or the
-# first correction is larger than this part of the motion; and from corrections of the second size
-# on where it would take more than two iterations. (So at any size, 25 of 202 hard runs end early
-# where 14 do otherwise: full steps far from a solution lead to others.)
+# A matrix is replaced if an iteration shrinks the correction by less than the factor _SLOW, or the
+# first correction exceeds _SLOW times the motion; and, for corrections below _NEAR times the
+# motion, if more than two further iterations are predicted. (With that rule for larger corrections,
+# too, 25 of 202 hard runs end early instead of 14: full steps far from a solution lead to others.)
 _SLOW, _NEAR = 0.2, 1e-5
-# The guess looks a step ahead along the line through a and A, over this multiple of the time
-# between them at most, and where that changes a by less than this part of the forces: else they
-# oscillate.
+# The guess extrapolates the line through A and a by at most _AHEAD times the time between them, and
+# only if that changes a by less than _SMOOTH times the forces; otherwise they oscillate.
 _AHEAD, _SMOOTH = 20.0, 0.1
-# Corrections that stop shrinking are round-off if they are this small against the motion.
+# Corrections that stop shrinking count as round-off below _ROUND_OFF times the motion.
 _ROUND_OFF = 1e-6
 # Forces may grow by this factor from one step to the next before the Newton test gets stricter.
 _JUMP = 100.0
 # Corrections from a guess close to the solution shrink by this factor at least.
 _CLOSE = 0.5
-# Seconds after which a packet ends, so that interrupts and progress come through.
+# Seconds after which the kernel returns, so that interrupts and the progress bar are served.
 _NEWTON_PATIENCE = 0.1
 
 _VERDICTS = {
@@ -97,12 +91,12 @@ _VERDICTS = {
     March.INACCURATE: Verdict.ERROR_TEST,
 }
 
-# Coefficients, the state before the step, and the instant at its end.
+# Coefficients, the node before the step, and the time at its end.
 Step: TypeAlias = tuple[Coefficients, Node, float]
 
 
 class SolvedStep(NamedTuple):
-    """A solution, whether round-off disturbs it, and the slowest rate of the corrections."""
+    """A solved step: its node, whether round-off disturbs it, and the slowest convergence rate."""
 
     node: Node
     round_off: int
@@ -117,7 +111,7 @@ class _Attempt(NamedTuple):
 
 
 class _End(NamedTuple):
-    """End of steps: number taken, reason, last state, size and slowest rate of corrections."""
+    """End of steps: number taken, reason, last node, last correction and slowest rate."""
 
     taken: int
     why: March
@@ -128,7 +122,10 @@ class _End(NamedTuple):
 
 
 class ControlledSteps(NamedTuple):
-    """Steps under control: ends, filters and nodes after each, why they end, last correction."""
+    """Steps under error control: end times, filter and node after each, why they end.
+
+    `size` is the size of the last correction.
+    """
 
     ends: Array
     filters: Array
@@ -139,7 +136,7 @@ class ControlledSteps(NamedTuple):
 
 @final
 class StepSolver:
-    """Newton's method for one step after another, which the recorder counts."""
+    """Newton's method for steps of HHT-I3, whose iterations the recorder counts."""
 
     def __init__(
         self,
@@ -155,38 +152,38 @@ class StepSolver:
         rates = _SLOW, _NEAR, _AHEAD, _SMOOTH, _ROUND_OFF, _JUMP, QUIET
         rules = np.array([alpha, *newton, blur, *rates, *PLACES, *WEIGHTS])
         self._kernel = Prepared(system, matrices, rules, recorder.dtype)
-        # Whether steps are taken one by one: a function of Python may raise in each of them.
+        # Whether steps are taken one by one, because a Python function may raise in any of them.
         self.alone = isinstance(self._kernel.plan, CalledPlan)
         self._sizes = system.n_q, system.n_q, system.n_q, system.n_lam
         self._recorder, self._small = recorder, False
 
     @property
     def iterations(self) -> int:
-        """Iterations so far, of all steps."""
+        """Number of iterations of all steps so far."""
         return self._recorder.iterations
 
     def march(self, before: Node, h: Array, ends: Array, rows: StateRows) -> tuple[int, Node]:
-        """Take steps until one is not solved; write the states to rows of q, v, A and lam."""
+        """Take steps until one is not solved; write q, v, A and lam to rows; return how many."""
         end = self._taken(before, h, ends, rows, self._usual(1))
         self._recorder.round_off_steps += end.round_off
         return end.taken, end.node
 
     def advance(self, step: Step, patience: int = 1) -> Node | Failure:
-        """Solve eqs. (4) and (5), in `patience` times as many iterations as are usual."""
+        """Solve eqs. (4) and (5) within `patience` times the usual number of iterations."""
         solved = self._solved(step, self._usual(patience))
         return solved if isinstance(solved, Failure) else self.accept(solved)
 
     def follow(self, step: Step, guess: tuple[Array, Array], rough: float) -> SolvedStep | Failure:
-        """Solve them from a guess that is close to the solution.
+        """Solve eqs. (4) and (5) from a guess close to the solution.
 
-        Where corrections do not shrink quickly from the first one on, the solution that they lead
-        to may be another one. A tolerance that is larger than that of the run may be given.
+        If corrections do not shrink quickly from the first one on, the step counts as failed,
+        because the solution may be another one. `rough` is a tolerance larger than that of the run.
         """
         limits = max(rough, self._tolerance), _CLOSE, self.max_iterations
         return self._solved(step, _Attempt(guess, limits))
 
     def accept(self, solved: SolvedStep) -> Node:
-        """Count the solution that was found as an accepted step."""
+        """Count the solution as an accepted step and return its node."""
         self._recorder.round_off_steps += solved.round_off
         return solved.node
 
@@ -198,9 +195,21 @@ class StepSolver:
         laws: Callable[[float, float, float], tuple[Array, Array, float]] | None,
         most: int,
     ) -> ControlledSteps:
-        """Take steps under error control until there are `most`, or Python is to decide.
+        """Take up to `most` steps under error control in one call of the kernel.
 
-        Begin with a node, its number and the size of the step that led there.
+        Parameters
+        ----------
+        begin : tuple
+            Node before the steps, its index, and the size of the step that led to it, s.
+        control : tuple
+            `numbers` and `stops` of the `Controller`; the kernel changes the numbers.
+        tolerance : tuple
+            rtol, atol Q_i of the coordinates, place of the system, and length of its vectors.
+        laws : Callable, optional
+            Returns the factors of joints and loads of a step and the error of its turn, from the
+            start, end and size of the step, s.
+        most : int
+            Largest number of steps.
         """
         recorder, plan, (node, n, last) = self._recorder, self._kernel.plan, begin
         rows, numbers = recorder.room(most), self._sizes[0]
@@ -238,7 +247,7 @@ class StepSolver:
         return _Attempt(None, (self._tolerance, math.inf, patience * self.max_iterations))
 
     def _solved(self, step: Step, attempt: _Attempt) -> SolvedStep | Failure:
-        """Solve one step."""
+        """Return the solution of one step, or why it was not solved."""
         c, before, t = step
         q, v, A, lam = (np.empty((1, n), dtype=self._recorder.dtype) for n in self._sizes)
         end = self._taken(before, np.array([c.h]), np.array([t]), (q, v, A, lam), attempt)
@@ -249,7 +258,7 @@ class StepSolver:
     def _taken(
         self, before: Node, h: Array, ends: Array, rows: StateRows, attempt: _Attempt
     ) -> _End:
-        """Take steps until one is not solved, and count what they cost."""
+        """Take steps until one is not solved, and add their cost to the counters."""
         t, q, v, a, lam, A, motion = before
         starts = np.concatenate([[t], ends[:-1]])
         of_loads = self._kernel.plan.load_factors
@@ -265,13 +274,13 @@ class StepSolver:
             self._add(why)
             return self._taken(before, h, ends, rows, attempt)
         if taken:
-            # Copies: a node that is kept must not keep the rows of a whole part.
+            # Copies: a stored node must not keep the rows of a whole part in memory.
             q, v, A, lam = (row[taken - 1].copy() for row in rows)
             before = Node(float(ends[taken - 1]), q, v, a, lam, A, motion)
         return _End(taken, March(why), before, counts[2], size, rate)
 
     def _add(self, why: int) -> None:
-        """Prepare what the next step needs."""
+        """Prepare what the kernel reported missing: Gauss points, or a banded factorisation."""
         if why == March.NEEDS_GAUSS:
             self._small = True
         else:
@@ -279,24 +288,27 @@ class StepSolver:
 
     @property
     def timed(self) -> bool:
-        """Whether laws of time act on joints or loads of a scene."""
+        """Whether joints or loads of a scene depend on time."""
         plan = self._kernel.plan
         driven = plan.joint_factors is not None or plan.load_factors(np.zeros(1)).size > 0
         return driven and not self.own
 
     @property
     def own(self) -> bool:
-        """Whether the system is one of the user's own, whose factors are the times."""
+        """Whether the system is a user's own; it gets times instead of factors of laws."""
         return isinstance(self._kernel.plan, CalledPlan | ListPlan)
 
     def laws(self, t: float, end: float, h: float) -> tuple[Array, Array]:
-        """Return the factors of joints and of loads in a step, as the kernel takes them."""
+        """Return factors of joints and loads at end, start and Gauss points of a step from t."""
         starts, ends = np.array([t]), np.array([end])
         loads = self._kernel.plan.load_factors(np.array([end, t]))
         return self._joint_factors(starts, ends, np.array([h]))[0], loads
 
     def _joint_factors(self, starts: Array, ends: Array, h: Array) -> Array:
-        """Factors at ends and beginnings of steps, and where they are small at Gauss points."""
+        """Return factors of driven joints at ends and starts of steps, (k, ..., n).
+
+        If steps may be small, Gauss points are included.
+        """
         of = self._kernel.plan.joint_factors
         if of is None:
             return np.ones((1, 2, 1))
@@ -309,28 +321,28 @@ class StepSolver:
         return np.concatenate(tables, axis=1)
 
 
-# What follows only serves as a guess needs few digits.
+# Tolerance of solutions that serve as guesses only.
 _ROUGH = 1e-8
-# The shortest part of a step that is tried.
+# Shortest fraction of a step that is tried.
 _SHORTEST = 2.0**-20
-# Where the part grows by less than this of itself the branch is taken for ended.
+# The branch counts as ended if the fraction of the step grows by less than this, relatively.
 _FINEST = 1e-4
-# Iterations, in multiples of those that Newton's method may take: more than any branch took that
-# reached a solution (measured: 10 to 200, with 15).
+# Most iterations over those of Newton's method: more than any successful branch took (measured: 10
+# to 200 iterations, with 15 allowed in Newton's method).
 _MOST = 15
-# Solutions that a guess is made of.
+# Number of solutions through which a guess is extrapolated.
 _POINTS = 4
-# Rate of contraction that strides aim at, and how much one may differ from the last.
+# Convergence rate at which strides aim, and least and largest ratio of successive strides.
 _AIM, _LEAST, _LONGEST = 0.2, 0.5, 3.0
-# Where the branch of solutions could be followed over more than this part of a step, and then was
-# lost in round-off, as many iterations as this times the usual ones are spent on the full step.
+# If the branch was followed over more than _MOST_OF_IT of a step and then lost in round-off, the
+# full step is tried with _CONTINUATION_PATIENCE times the usual iterations.
 _MOST_OF_IT, _CONTINUATION_PATIENCE = 0.5, 4
 
 
 def solved(
     solver: StepSolver, system: MechanicalSystem, step: Step, why: Failure
 ) -> Node | Failure:
-    """Solve the equations of a step that Newton's method alone does not solve, for a reason."""
+    """Return the node after a step that Newton's method alone does not solve, or a Failure."""
     node, part = continued(solver, step, why)
     if isinstance(node, Failure) and part > _MOST_OF_IT:
         node = _patient(solver, system, step)
@@ -341,7 +353,7 @@ def solved(
 
 
 def continued(solver: StepSolver, step: Step, why: Failure) -> tuple[Node | Failure, float]:
-    """Follow the branch, beside the part of the step that was solved."""
+    """Follow the branch of solutions; return the node or a Failure, and the fraction solved."""
     branch: deque[tuple[float, SolvedStep]] = deque(maxlen=_POINTS)
     reached, stride = 0.0, 1.0
     most = solver.iterations + _MOST * solver.max_iterations
@@ -365,7 +377,7 @@ def continued(solver: StepSolver, step: Step, why: Failure) -> tuple[Node | Fail
 
 
 def _patient(solver: StepSolver, system: MechanicalSystem, step: Step) -> Node | Failure:
-    """Iterate on where round-off hides the branch, unless that leads away from the motion."""
+    """Return the node by more iterations on the full step, unless it is far from the motion."""
     c, last, _ = step
     node = solver.advance(step, patience=_CONTINUATION_PATIENCE)
     if isinstance(node, Failure):
@@ -376,7 +388,7 @@ def _patient(solver: StepSolver, system: MechanicalSystem, step: Step) -> Node |
 
 
 def _remedy(h: float, part: float) -> str:
-    """Return in words how much of a step of size h was solved; nothing if all or none."""
+    """Return in words how much of a step of size h was solved; empty if all or none."""
     if not 0 < part < 1:
         return ""
     return (
@@ -387,7 +399,7 @@ def _remedy(h: float, part: float) -> str:
 def _solved(
     solver: StepSolver, step: Step, part: float, branch: Sequence[tuple[float, SolvedStep]]
 ) -> SolvedStep | Failure:
-    """Solve the equations of a part of the step from a guess, which must be close."""
+    """Return the solution of a fraction `part` of the step from a guess on the branch."""
     c, before, t = step
     now = t if part == 1.0 else before.t + part * (t - before.t)
     state, rough = rescaled(before, part), 0.0 if part == 1.0 else _ROUGH
@@ -396,23 +408,23 @@ def _solved(
 
 
 def _guess(part: float, branch: Sequence[tuple[float, SolvedStep]]) -> tuple[Array, Array]:
-    """Return a and lam on the polynomial through solutions."""
+    """Return a and lam at `part` on the polynomial through the solutions of the branch."""
     s = np.array([reached for reached, _ in branch])
     weights = [np.prod((part - np.delete(s, i)) / (x - np.delete(s, i))) for i, x in enumerate(s)]
     a, lam = (np.stack(x) for x in zip(*((f.node.a, f.node.lam) for _, f in branch), strict=True))
     return weights @ a, weights @ lam
 
 
-# State of the recurrence at an instant, and of its derivatives if they are integrated.
+# Node of the recurrence, and its derivatives if they are integrated.
 State = tuple[Node, NodeSensitivity | None]
 
 
 @final
 class HHTStepper(OneStepMethod[State]):
-    """Takes the steps of a run; differentiates them if derivatives of the start are given.
+    """Takes the steps of an HHT-I3 run, with derivatives if those of the start are given.
 
-    The tolerance, of the error of a step, is None where nothing controls it; the counters of the
-    recorder go on.
+    `tolerance` bounds the error of a step; None without error control. The counters of the recorder
+    continue.
     """
 
     order: ClassVar[int] = 2
@@ -440,7 +452,7 @@ class HHTStepper(OneStepMethod[State]):
 
     @cached_property
     def _passes(self) -> linear_passes.CompiledPasses:
-        """Linearised steps, for runs with derivatives."""
+        """The kernel's derivative passes, for runs with derivatives."""
         return linear_passes.CompiledPasses(self.system, self._problem.matrices, self._alpha)
 
     def consistent(self) -> Record:
@@ -454,7 +466,7 @@ class HHTStepper(OneStepMethod[State]):
         return start.node, derivative and start.sensitivity(derivative)
 
     def resized(self, state: State, ratio: float) -> State:
-        """Return a state for a step whose size is `ratio` times that of the step before."""
+        """Return a state for a step of `ratio` times the size of the step before."""
         node, node_b = state
         return rescaled(node, ratio), node_b and rescaled_sensitivity(node_b, ratio)
 
@@ -465,7 +477,7 @@ class HHTStepper(OneStepMethod[State]):
             c = self._coefficients = Coefficients(h, self._alpha)
         system, step = self._problem.system, (c, last, t)
         node = self._solver.advance(step)
-        # Where steps are controlled a smaller one is the better cure.
+        # Under error control a smaller step is the better remedy.
         hard = isinstance(node, Failure) and node.verdict is not Verdict.SINGULAR
         if isinstance(node, Failure) and hard and self._tolerance is None:
             node = solved(self._solver, system, step, node)
@@ -481,7 +493,7 @@ class HHTStepper(OneStepMethod[State]):
         return node, node_b
 
     def march(self, before: State, sizes: Array, ends: Array) -> tuple[int, State]:
-        """Take steps in one call of the kernel; without derivatives."""
+        """Take steps of given sizes in one call of the kernel; none with derivatives."""
         node, node_b = before
         if self._solver.alone or node_b is not None or len(sizes) == 1:
             return 0, before
@@ -493,7 +505,7 @@ class HHTStepper(OneStepMethod[State]):
     def controlled(
         self, begin: Reached, controller: Controller, recorder: SolutionRecorder, most: int
     ) -> Batch | None:
-        """Take steps in one call of the kernel; without derivatives along."""
+        """Take steps in one call of the kernel; None without tolerance or with derivatives."""
         node, node_b = begin.now
         if self._tolerance is None or node_b is not None:
             return None
@@ -518,12 +530,12 @@ class HHTStepper(OneStepMethod[State]):
 
     @cached_property
     def _timed(self) -> bool:
-        """Whether laws of time act, or a system of one's own prescribes a turn."""
+        """Whether joints or loads depend on time, or a user's system prescribes a turn."""
         turns = type(self.system).turn_rate is not MechanicalSystem.turn_rate
         return self._solver.timed or (turns and self._solver.own)
 
     def _laws(self, t: float, end: float, h: float) -> tuple[Array, Array, float]:
-        """Return the factors in a step, and the error of its turn."""
+        """Return factors of joints and loads of a step from t, and the error e of its turn."""
         return *self._solver.laws(t, end, h), turn_error(self.system, end, h, self.order)
 
     def recorded(self, state: State) -> Record:
@@ -532,7 +544,7 @@ class HHTStepper(OneStepMethod[State]):
         return x.t, x.q, x.v, x.A, x.lam, () if b is None else (b.q_b, b.v_b, b.A_b, b.lam_b)
 
     def error(self, h: float, before: State, after: State) -> float:
-        """Return e of a step; zero where there is no tolerance."""
+        """Return the error e of a step relative to the tolerance; zero without a tolerance."""
         if self._tolerance is None:
             return 0.0
         (old, old_b), (new, new_b) = before, after
@@ -545,7 +557,7 @@ class HHTStepper(OneStepMethod[State]):
         return float(np.maximum(turn, error))
 
     def start_error(self) -> float:
-        """Return e of a first step of size 1, from the third derivative at the start."""
+        """Return e of a first step of size 1 s, from the third derivative at the start."""
         derivative, still = self._problem.derivative, Coefficients(0.0, self._alpha)
         start = RecurrenceStart.of(self._problem, still)
         motion = start.jerks[0].jerk.real, self._problem.size(self._problem.initial.q)
@@ -563,7 +575,7 @@ class HHTStepper(OneStepMethod[State]):
         increment_b: Array | None = None,
         size_b: Array | None = None,
     ) -> float:
-        """Return the larger e; NaN, which no step passes, if one of them is NaN."""
+        """Return the larger e of motion and derivatives; NaN, which no step passes, if one is."""
         if self._tolerance is None:
             return 0.0
         scale = constraint_error(Coefficients(h, self._alpha))

@@ -1,1 +1,1 @@
-"""Radau IIA of order 5 on positions and their constraints, velocities projected."""
+"""The integrator Radau IIA of order 5 on positions and their constraints, velocities projected."""

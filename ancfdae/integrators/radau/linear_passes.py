@@ -1,4 +1,4 @@
-"""Linear passes over a computed run: direct differentiation and its transpose.
+"""Linear passes over a computed Radau IIA run: direct differentiation and its transpose.
 
 With x_b and lam_b of the stages, and (i) for matrices linearised at stage i,
 
@@ -6,17 +6,17 @@ With x_b and lam_b of the stages, and (i) for matrices linearised at stage i,
     (M A^-2 x_b + f_v V_b + f_q Q_b + Phi_q^T lam_b + f_b)(i) = 0,
     (Phi_q Q_b + Phi_b)(i) / h^2 = 0,
 
-solved with the exact matrix of the stages, which are then completed. The pass back
-reads the same matrices, transposed, in reverse order. What a solution does not keep of the stages,
-velocities, accelerations and multipliers before they were completed, follows from the positions.
+solved with the exact matrix of the stages, which are then completed. The backward pass uses the
+same matrices, transposed, in reverse order. Velocities, accelerations and multipliers of the stages
+before completion are not part of a solution; they follow from the positions.
 
-**Stages completed.** Of positions q on the constraints and velocities V that may miss theirs,
+**Stages completed.** From positions q on the constraints and velocities V that may violate theirs,
 
     M (v - V) + Phi_q^T sigma = 0,   Phi_q v = nu(q),
     M a + Phi_q^T lam = Q(q, v),     Phi_q a = gamma(q, v).
 
-With Phi' = Phi_q v - nu, Phi'' = Phi_q a - gamma, f for M a + Phi_q^T lam - Q, f_0 for
-M (v - V) + Phi_q^T sigma with v - V and sigma held, and (Phi')_q = Phi_q', (Phi'')_v = 2 Phi_q',
+With Phi' = Phi_q v - nu, Phi'' = Phi_q a - gamma, f for M a + Phi_q^T lam - Q, f_0 for M (v - V) +
+Phi_q^T sigma with v - V and sigma fixed, and (Phi')_q = Phi_q', (Phi'')_v = 2 Phi_q',
 
     M v_b + Phi_q^T sigma_b = M V_b - f_0,q q_b - f_0,b,         Phi_q v_b = -(Phi'_q q_b + Phi'_b)
     M a_b + Phi_q^T lam_b = -(f_q q_b + f_v v_b + f_b),
@@ -55,14 +55,14 @@ from ancfdae.kernels import RULES
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
 
-# q, v, a and lam of k instants, as rows.
+# q, v, a and lam at k time points, as rows.
 States: TypeAlias = tuple[Array, Array, Array, Array]
-# Numbers held at once by a chunk of steps.
+# Most numbers in the arrays of a chunk of steps.
 _CHUNK_NUMBERS = 200_000
 
 
 class Packet(NamedTuple):
-    """Steps for the kernel: see `ComputedStages` in `_kernels.pyi`."""
+    """Steps for the kernel: see `differentiate_stages` in `kernels.cpp`."""
 
     h: Array
     M: Array
@@ -78,7 +78,7 @@ class Packet(NamedTuple):
 
 @final
 class StageKernel:
-    """The compiled pass over the stages of computed steps of one system."""
+    """The kernel's derivative passes over the stages of computed steps of one system."""
 
     def __init__(self, problem: InitialValueProblem) -> None:
         self.system, self.size = problem.system, problem.matrices.size
@@ -95,7 +95,7 @@ class StageKernel:
         joints = plan.joint_factors(t, 2) if plan.joint_factors else np.ones((1, 1, 1))
         tables = np.ascontiguousarray(joints), np.ascontiguousarray(plan.load_factors(t))
         out = np.zeros((k, 2, self.size))
-        if self._prepared.go(lambda x, at: x.find_stages(*tables, q, V, A, out, at), 0) < k:
+        if self._prepared.go(lambda x, at: x.find_stages(tables, (q, V, A), out, at), 0) < k:
             raise SingularMatrix("the mass matrix of a stage is singular")
         (a, lam), moved = (np.split(np.ascontiguousarray(out[:, i]), [n], 1) for i in range(2))
         return Stages(q, V, a, lam), (moved[0], moved[1])
@@ -108,7 +108,7 @@ class StageKernel:
         lam_b: Array,
         x_b: Array,
     ) -> int:
-        """Take steps of direct differentiation; return how many have regular matrices."""
+        """Take steps of direct differentiation; return the number with regular matrices."""
         given = states, lam_b, x_b
         return self._prepared.go(
             lambda x, at: x.differentiate_stages(self._coupled, steps, known, *given, at), 0
@@ -127,9 +127,9 @@ class StageKernel:
 @final
 @dataclass(frozen=True)
 class Completion:
-    """k states, completed as stages are, linearised.
+    """k states, completed as stages are, and linearised.
 
-    `moved` holds v - V and sigma. `rates` are Phi'_q and Phi''_q, `held_q` is f_0,q; both None
+    `moved` holds v - V and sigma. `rates` are Phi'_q and Phi''_q, `held_q` is f_0,q; both are None
     where they vanish.
     """
 
@@ -145,7 +145,7 @@ class Completion:
     def of(
         system: MechanicalSystem, t: Array, states: States, moved: tuple[Array, Array]
     ) -> Completion:
-        """Linearise accelerations and multipliers at states."""
+        """Return completed states with their linearisation."""
         traits, held_q, rates = system.traits, None, None
         if not (traits.constant_mass and traits.linear_constraints):
             held_q = system.linearise(t, states[0], None, *moved).f_q
@@ -157,7 +157,7 @@ class Completion:
 
     @cached_property
     def partials(self) -> tuple[Array, Array, Array]:
-        """Design partials of f_0 and f, and of Phi' and Phi''."""
+        """Return design partials of f_0 and f, (k, n_q, n_b), and of Phi' and Phi''."""
         system, t, (q, v, a, lam) = self.system, self.t, self.states
         held = system.design_partials(t, q, None, *self.moved).f_b
         sides = np.zeros((2, len(t), system.n_lam, system.n_b))
@@ -185,7 +185,7 @@ class Completion:
 @final
 @dataclass(frozen=True)
 class LinearStages:
-    """k steps linearised at their stages, which are rows, 3 k."""
+    """k steps linearised at their 3 k stages, which are rows."""
 
     kernel: StageKernel
     stages: Stages
@@ -194,7 +194,7 @@ class LinearStages:
 
     @staticmethod
     def of(kernel: StageKernel, h: Array, t: Array, states: Sequence[Array]) -> LinearStages:
-        """Linearise steps of which start, stages and end are given, (k, 4, ...)."""
+        """Return linearised steps from their start, stages and end, (k, 4, ...)."""
         system, size = kernel.system, h[:, None, None]
         q, v, a, lam = (np.concatenate(x[:, 1:]) for x in states)
         times, (q_0, v_0) = t[:, 1:].ravel(), (x[:, :1] for x in states[:2])
@@ -209,10 +209,10 @@ class LinearStages:
         return LinearStages(kernel, stages, completion, steps)
 
     def forward(self, states: Array, lam_b: Array) -> tuple[int, Array]:
-        """Take q_b and v_b over the steps; return how many are taken, and x_b of all stages.
+        """Integrate q_b and v_b over the steps; return the number of steps, and x_b of all stages.
 
         Rows of q_b, v_b and a_b, (3 k + 1, 3, n_b, n_q), and of lam_b, (3 k + 1, n_b, n_lam), are
-        written, but the first ones.
+        written except the first ones.
         """
         completion, system = self.completion, self.kernel.system
         at_stages = system.design_partials(completion.t, *self.stages)
@@ -226,9 +226,10 @@ class LinearStages:
         return taken, x_b
 
     def backward(self, seeds: OnStates, on: Array) -> Array:
-        """Return the direct part of the gradient, (n_b,), and take `on` back over the steps.
+        """Return the direct part of the gradient, (n_b,), and pull `on` back over the steps.
 
-        The seeds are covectors on q, v and lam of stages, `on`, shape (2, n_q), those on q and v.
+        The seeds are adjoint vectors of q, v and lam at stages, `on`, shape (2, n_q), those of q
+        and v.
         """
         system, n = self.kernel.system, self.kernel.system.n_q
         rows = np.zeros((3, len(self.completion.t), self.kernel.size))
@@ -243,7 +244,8 @@ def differentiate(
 ) -> tuple[list[Array], Verdict]:
     """Run the derivative recurrence forward over steps of the sizes h.
 
-    Returns q_b, v_b, a_b and lam_b of all instants, cut to the steps done, and how the pass ended.
+    Return q_b, v_b, a_b, lam_b at all time points, cut to the completed steps, and how the pass
+    ended.
     """
     assert problem.derivative is not None
     *motion, lam = (x.T for x in problem.derivative)
@@ -276,7 +278,7 @@ def pull_back(
     on: Array,
     progress: bool = False,
 ) -> tuple[Array, Array]:
-    """Run the transposed recurrence back over steps of the sizes h (discrete adjoint).
+    """Run the transposed recurrence backward over steps of the sizes h (discrete adjoint).
 
     `on`, shape (2, n_q), holds the adjoint vectors of q and v at the last time, from later steps.
     Returns the gradient without the part through the first state, and the adjoint vectors of q and
@@ -292,7 +294,7 @@ def pull_back(
 
 
 def through_start(problem: InitialValueProblem, on: Array, seeds: Seeds, gradient: Array) -> Array:
-    """Add to a gradient what goes through the first instant, with its seeds."""
+    """Return the gradient with the part through the first state, including its seeds."""
     none = np.zeros(problem.system.n_q), np.zeros(problem.system.n_lam)
     q, v, lam = (
         x if seed is None else x + seed[0]

@@ -1,8 +1,7 @@
-"""Radau IIA with any control of its steps, and runs at known steps.
+"""The integrator Radau IIA of order 5 under any step control, and its runs in parts.
 
-A run at known steps, taken part by part, forward and backward.
-
-Radau IIA of order 5, with any control of its steps (docs/theory/14-radau.md).
+See docs/theory/14-radau.md. A run with steps that are known in advance can be integrated part by
+part, forward and backward.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from ancfdae.numerics.arrays import Array
 
 @final
 class RadauReplay(RunInParts):
-    """A run of steps of sizes h, (n,), between given ends, (n + 1,)."""
+    """A run of Radau IIA with steps of sizes h, (n,), s, between given ends, (n + 1,), in parts."""
 
     degree = 3
 
@@ -44,11 +43,11 @@ class RadauReplay(RunInParts):
         self.taken, self._contacts = 0, problem.system.contacts()
 
     def start(self) -> State:
-        """Return the consistent start of the run that is repeated."""
+        """Return the consistent start of the run."""
         return self._stepper(SolutionRecorder(self._problem.system, 1)).start(float(self._h[0]))
 
     def part(self, node: State, first: int, last: int) -> tuple[Solution, State]:
-        """March over a plan of the known steps."""
+        """Integrate the steps from time point `first` to `last` from the state `node`."""
         begin, end = first // self.degree, last // self.degree
         recorder = SolutionRecorder(self._problem.system, last - first + 1, self.degree)
         t, q, v, a, lam = (x[-1] for x in node.rows)
@@ -66,17 +65,17 @@ class RadauReplay(RunInParts):
     def pull_back(
         self, run: Solution, node: State, first: int, seeds: Seeds, on: Array
     ) -> tuple[Array, Array]:
-        """Pull back over the steps of a part."""
+        """Run one part of the backward pass; see `linear_passes.pull_back`."""
         begin = first // self.degree
         h = self._h[begin : begin + len(run.t) // self.degree]
         return linear_passes.pull_back(self._problem, run, h, seeds, on)
 
     def close(self, on: Array, seeds: Seeds, gradient: Array) -> Array:
-        """Add to the gradient the part that goes through the start of the run."""
+        """Return the gradient with the part that acts through the start of the run."""
         return linear_passes.through_start(self._problem, on, seeds, gradient)
 
     def no_covectors(self) -> Array:
-        """Return zero adjoint vectors on q and v, shape (2, n_q)."""
+        """Return zero adjoint vectors of q and v, shape (2, n_q)."""
         return np.zeros((2, self._problem.system.n_q))
 
     def _stepper(self, recorder: SolutionRecorder) -> RadauStepper:
@@ -92,19 +91,19 @@ _SHARE, _POWER = 0.05, 4 / 5
 class Radau(SteppedIntegrator, PartwiseIntegrator):
     """Radau IIA with three stages at a fixed step, or with error control; for stiff damped scenes.
 
-    Of order 5 in q, v, a, lam and their design derivatives at the ends of steps, of order 4 at the
-    stages within, which a solution also has: four instants from the start of a step to its end. In
-    what is much faster than the step the order falls (docs/theory/14-radau.md). A step costs some
-    times one of `HHT`. Exactly one of `steps`, `step` and `rtol` is given.
+    The order in q, v, a, lam and their design derivatives is 5 at the ends of steps, 4 at the
+    stages within. A solution also contains the stages: four time points from the start of a step to
+    its end. For motions much faster than the step the order falls (docs/theory/14-radau.md). A step
+    costs several times a step of `HHT`. Exactly one of `steps`, `step` and `rtol` is given.
 
     Parameters
     ----------
     steps : StepControl or float
-        `FixedSteps`, `AdaptiveSteps` or `PrescribedSteps`; a number is the step of `FixedSteps`.
+        `FixedSteps`, `AdaptiveSteps` or `PrescribedSteps`; a number is the step of `FixedSteps`, s.
     newton_tolerance : float, optional
         Largest last correction relative to the motion, as in `HHT`; dimensionless.
     max_iterations : int
-        Newton iterations of a step before it is given up.
+        Newton iterations of a step before it is rejected.
     step : float, optional
         Short for ``steps=FixedSteps(step)``; s.
     rtol : float, optional
@@ -159,14 +158,14 @@ class Radau(SteppedIntegrator, PartwiseIntegrator):
     def pull_back(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds, progress: bool = False
     ) -> Array:
-        """Return the gradient of an objective by the discrete adjoint."""
+        """Return the gradient of an objective, (n_b,), by the discrete adjoint."""
         problem = InitialValueProblem.of(system, float(solution.t[-1]) or 1.0)
         on, h = np.zeros((2, system.n_q)), self.sizes(solution)
         gradient, on = linear_passes.pull_back(problem, solution, h, seeds, on, progress)
         return linear_passes.through_start(problem, on, seeds, gradient)
 
     def replay(self, system: MechanicalSystem, t_end: float) -> RadauReplay:
-        """Return the run to `t_end` part by part; its steps must be known before."""
+        """Return the run to `t_end` (s) in parts; its steps must be known in advance."""
         ends = self._known_instants(t_end)
         newton = self.newton_tolerance, self.max_iterations
         return RadauReplay(

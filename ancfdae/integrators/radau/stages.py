@@ -1,10 +1,7 @@
 """The three stages of a step of Radau IIA: coefficients, equations, Newton's method.
 
-Coefficients of Radau IIA with three stages (Hairer & Wanner, Solving ODEs II, IV.5 and IV.8).
-
-The equations of the three stages of a step, and their matrices.
-
-With h^2 x the displacements of the stages from the motion at constant velocity,
+Coefficients are those of Hairer & Wanner, Solving ODEs II, IV.5 and IV.8. With h^2 x the
+displacements of the stages from the motion at constant velocity,
 
     Q = q_0 + h c v_0 + h^2 x,     V = v_0 + h A^-1 x,     Q'' = A^-2 x,
 
@@ -12,8 +9,8 @@ the equations of a step are those of motion and the constraints at every stage,
 
     M(Q_i) Q_i'' + Phi_q^T lam_i - Q(t_i, Q_i, V_i) = 0,     Phi(t_i, Q_i) / h^2 = 0.
 
-**Matrix.** With the matrices of every stage at its own state block (i, j) of K is
-(A^-2)_ij M_i + h (A^-1)_ij f_v,i, and h^2 f_q,i more for i = j.
+**Matrix.** With the matrices of every stage at its own state block (i, j) of K is (A^-2)_ij M_i + h
+(A^-1)_ij f_v,i, plus h^2 f_q,i for i = j.
 
 Newton's method runs in `kernels/stages.h`.
 """
@@ -31,9 +28,9 @@ from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control.contracts import Failure
-from ancfdae.kernels import RULES, STAGES_NOT_FINITE, STAGES_SINGULAR, STAGES_SOLVED, CoupledArrays
+from ancfdae.kernels import RULES, STAGES_NOT_FINITE, STAGES_SINGULAR, STAGES_SOLVED
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.coupled import coupled_arrays
+from ancfdae.numerics.coupled import CoupledArrays, coupled_arrays
 
 _ROOT = np.sqrt(6.0)
 
@@ -45,12 +42,12 @@ BUTCHER = np.array(
         [(16 - _ROOT) / 36, (16 + _ROOT) / 36, 1 / 9],
     ]
 )
-#: Places c of the stages in the step, as a column.
+#: Nodes c of the stages as fractions of the step, as a column.
 PLACES = np.array([[(4 - _ROOT) / 10], [(4 + _ROOT) / 10], [1.0]])
 #: A^-1 and A^-2.
 INVERSE = np.linalg.inv(BUTCHER)
 SQUARED = INVERSE @ INVERSE
-#: The places, A^-1 and A^-2 as `StageTableau` of the kernel has them.
+#: c, A^-1 and A^-2 in the layout of `StageTableau` of the kernel.
 TABLEAU = np.concatenate([x.ravel() for x in (PLACES, INVERSE, SQUARED)])
 #: Weights e, a row, of the embedded formula: err = (gamma/h - J)^-1 (f_0 + sum e_i (Y_i - y_0)/h).
 EMBEDDED = np.array([[-13 - 7 * _ROOT, -13 + 7 * _ROOT, -1]]) / 3
@@ -61,14 +58,14 @@ GAMMA = float(min(np.linalg.eigvals(INVERSE), key=lambda x: abs(x.imag)).real)
 
 
 def at_stages(matrix: Array, x: Array) -> Array:
-    """Return sums over j of matrix_ij x_j for what stages hold, (3, ...)."""
+    """Return sums over j of matrix_ij x_j for arrays over the three stages, (3, ...)."""
     return np.asarray((matrix @ x.reshape(3, -1)).reshape(-1, *x.shape[1:]))
 
 
 def continued(rows: Array, ahead: Array) -> Array:
-    """Continue what a step holds at its start and stages, (4, n), to other places, a column.
+    """Extrapolate rows at start and stages of a step, (4, n), by a cubic to times `ahead`.
 
-    By the cubic; the unit is the size of the step.
+    `ahead` is a column; its unit is the step size.
     """
     places, shares = np.append(0.0, PLACES), []
     for k, place in enumerate(places):
@@ -78,7 +75,7 @@ def continued(rows: Array, ahead: Array) -> Array:
 
 
 class Stages(NamedTuple):
-    """Positions, velocities, accelerations and multipliers of the stages, as rows."""
+    """Positions, velocities, accelerations and multipliers of the stages of a step, a row each."""
 
     q: Array
     v: Array
@@ -87,7 +84,7 @@ class Stages(NamedTuple):
 
 
 class Begin(NamedTuple):
-    """A step: its size, and the state that it begins from."""
+    """The start of a step: its size h, s, the time, and the state."""
 
     h: float
     t: float
@@ -107,21 +104,24 @@ class Begin(NamedTuple):
         return self.t + self.h * PLACES[:, 0]
 
     def stages(self, x: Array, lam: Array) -> Stages:
-        """Return the stages of scaled displacements and multipliers."""
+        """Return the stages from scaled displacements x and multipliers."""
         h = self.h
         q = self.q + h * PLACES * self.v + h**2 * x
         return Stages(q, self.v + h * at_stages(INVERSE, x), at_stages(SQUARED, x), lam)
 
 
 def linearised(system: MechanicalSystem, t: Array, *states: Array) -> Linearisation:
-    """Linearise at some instants; an imaginary perturbation is left out."""
+    """Return the linearisation of a system at the real parts of k states."""
     local = system.linearise(t, *map(np.real, states))
     f_v = None if local.f_v is None else local.f_v.real
     return Linearisation(local.M.real, local.f_q.real, f_v, local.Phi_q.real)
 
 
 def stage_matrices(problem: InitialValueProblem) -> CoupledArrays:
-    """Return the coupled matrix for kernels; constraints are scaled by their rows at the start."""
+    """Return the coupled matrix of the stages for kernels.
+
+    Constraints are scaled by their rows at the start.
+    """
     system, Phi_q = problem.system, problem.system.constraint_q(0.0, problem.initial.q)
     patterns = system.pattern, system.constraint_pattern
     layout = problem.matrices.layout(band=False)
@@ -136,16 +136,16 @@ _JUMP = 10.0
 # Corrections are measured against forces of the iterate, at most _MOST times those at the start of
 # the step: a diverging iterate has huge forces.
 _MOST = 100.0
-# Corrections stop shrinking where they shrink by less than this factor.
+# Corrections count as no longer shrinking if they shrink by less than this factor.
 _SLOW = 0.5
-# Corrections that stop shrinking are round-off if they are this small against the motion, or that
-# many times the round-off of positions.
+# Corrections that stop shrinking count as round-off below _ROUND_OFF times the motion, or
+# _POSITIONS times the round-off of positions.
 _ROUND_OFF, _POSITIONS = 1e-6, 1e4
 _TINY = float(np.finfo(float).tiny)
 
 
 class SolvedStages(NamedTuple):
-    """Scaled displacements and multipliers of the stages."""
+    """Scaled displacements x and multipliers of the stages of a solved step."""
 
     x: Array
     lam: Array
@@ -153,7 +153,7 @@ class SolvedStages(NamedTuple):
 
 @final
 class StageSolver:
-    """Newton's method for one step after another, which the recorder counts."""
+    """Newton's method for the stages of steps, whose iterations the recorder counts."""
 
     def __init__(
         self,
@@ -170,13 +170,13 @@ class StageSolver:
         self._coupled = stage_matrices(problem)
 
     def solve(self, begin: Begin, guess: tuple[Array, Array]) -> SolvedStages | Failure:
-        """Solve the equations of a step from a guess of x and of the multipliers."""
+        """Return the solution of a step from a guess of x and lam, or why it failed."""
         plan, dtype = self._kernel.plan, self._kernel.dtype
         x, lam = (np.array(each, dtype=dtype) for each in guess)
         instants = np.append(begin.times, begin.t)
         joints, still = plan.joint_factors, np.ones((1, 1))
         factors = still if joints is None else joints(instants, 1)[0]
-        tables = factors, plan.load_factors(instants), TABLEAU, self._rules
+        tables = factors, plan.load_factors(instants), (TABLEAU, self._rules)
         self._rules[0] = begin.h
         ends, size, (iterations, factorisations, stuck) = self._kernel.model.solve_stages(
             self._coupled, begin.state, x, lam, *tables

@@ -1,7 +1,8 @@
-"""A step of Radau IIA: of the motion and, if asked for, of its design derivatives.
+"""A step of Radau IIA: the motion and, if requested, its design derivatives.
 
-The stages meet the constraints of positions. What their velocities miss, O(h^3), is removed, and
-accelerations and multipliers follow (`linear_passes`); so a step goes on from q and v.
+The stages satisfy the constraints of positions. The violation of constraints by their velocities,
+O(h^3), is removed, and accelerations and multipliers follow (`linear_passes`); so a step continues
+from q and v.
 
 **Error of a step.** The embedded formula of order 3, filtered by the real matrix (Hairer & Wanner,
 IV.8). With a_0 of the state before, e its weights and k = gamma, in the scaled displacements x
@@ -12,12 +13,12 @@ IV.8). With a_0 of the state before, e its weights and k = gamma, in the scaled 
     dv = k dq/h - r_q,
 
 applied twice, the second time to r_q = k dq/h, r_v = k dv/h: stiff vibrations in a_0 must not pass.
-What joints prescribe, across the directions that they leave free, is known at the stages, and no
-filter applies: with the completed velocities v_i
+The motion that joints prescribe, across the free directions, is known at the stages, and is not
+filtered: with the completed velocities v_i
 
     Phi_q dq = (h/k) Phi_q h sum e_i x_i,    Phi_q dv = (h/k) Phi_q (a_0 + sum e_i (v_i - v_0)/h)
 
-are added, with K dq + Phi_q^T [.] = 0 for the matrix K above: bodies follow at rest.
+are added, with K dq + Phi_q^T [.] = 0 for the matrix K above: bodies follow quasi-statically.
 """
 
 from __future__ import annotations
@@ -50,26 +51,26 @@ from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, R
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization
 
-# Parts of a run that first steps are tried with, each an eighth of the one before.
+# Fractions of a run that are tried as first step, each an eighth of the one before.
 _FIRST = [0.05 * 8.0**-k for k in range(8)]
 _EPS = float(np.finfo(float).eps)
-# Shortest part of a step by way of which it is solved.
+# Shortest fraction of a step by way of which it is solved.
 _SHORTEST = 1e-3
 
 
 def completed(
     system: MechanicalSystem, factors: Factorization, t: float, q: Array, V: Array
 ) -> tuple[Array, Array, Array]:
-    """Return v, a and lam; `factors` factorise M and Phi_q at q."""
+    """Return v, a and lam from q and rough velocities V; `factors` belong to M and Phi_q."""
     v = V - solve(factors, np.zeros_like(V), system.constraint(t, q, V))[0]
     return v, *solve(factors, system.force(t, q, v), acceleration_side(system, t, q, v))
 
 
 class State(NamedTuple):
-    """State after a step: its size, and start, stages and end as rows (t, q, v, a, lam).
+    """State after a step: its size h, s, and start, stages and end as rows (t, q, v, a, lam).
 
-    The start of a run is one row. Derivatives q_b, v_b, a_b, lam_b alike; the estimated errors are
-    of q and v, q_b and v_b.
+    The start of a run is one row. Derivatives q_b, v_b, a_b, lam_b have the same rows; `errors` are
+    estimates for q and v, q_b and v_b.
     """
 
     h: float
@@ -80,9 +81,9 @@ class State(NamedTuple):
 
 @final
 class RadauStepper(OneStepMethod[State]):
-    """Takes the steps of a run; differentiates them if derivatives of the start are given.
+    """Takes the steps of a Radau run, with derivatives if those of the start are given.
 
-    Tolerances are those of positions and of velocities; none where nothing controls the error.
+    There are tolerances of positions and of velocities; none without error control.
     """
 
     order: ClassVar[int] = 4
@@ -107,25 +108,25 @@ class RadauStepper(OneStepMethod[State]):
         self._kernel = None if problem.derivative is None else StageKernel(problem)
 
     def consistent(self) -> Record:
-        """Return the consistent start as a record of states, with derivatives if there are some."""
+        """Return the consistent start as a row of the solution, with derivatives if present."""
         return *self._problem.initial, self._problem.derivative or ()
 
     def start(self, h: float) -> State:
-        """Return the start, whatever the step."""
+        """Return the consistent start, which does not depend on the step size."""
         rows = (np.asarray(x)[None] for x in self._problem.initial)
         return State(h, tuple(rows), tuple(x[None] for x in self._problem.derivative or ()))
 
     def resized(self, state: State, ratio: float) -> State:
-        """Return the state, which serves any step."""
+        """Return the state unchanged, because it suits any step size."""
         return state
 
     def recorded(self, state: State) -> Record:
-        """Return the stages, of which the last one is the end."""
+        """Return the stages of a step as rows of the solution; the last one is its end."""
         t, q, v, a, lam = (x[1:] for x in state.rows)
         return t, q, v, a, lam, tuple(x[1:] for x in state.derivatives)
 
     def advance(self, h: float, before: State, t: float) -> State | Failure:
-        """Solve the equations of the step to t, and complete its stages."""
+        """Return the state after the step to t, with completed stages, or a Failure."""
         t_0, *last = (x[-1] for x in before.rows)
         begin = Begin(h, float(t_0), *last)
         solved = self._solved(begin, before)
@@ -143,14 +144,14 @@ class RadauStepper(OneStepMethod[State]):
         return self._controlled(solved.x, before, after) if self._tolerances else after
 
     def _solved(self, begin: Begin, before: State) -> SolvedStages | Failure:
-        """Solve the equations of a step, by way of shorter ones from its start if need be."""
+        """Return the stages of a step, if necessary by way of shorter steps from its start."""
         h, v, part = begin.h, begin.v, 1.0
         still = np.multiply.outer(PLACES[:, 0] ** 2 / 2, before.rows[3][-1])
         x, lam = still, np.tile(before.rows[4][-1], (3, 1))
         if len(before.rows[0]) > 1:
             x = at_stages(BUTCHER, continued(before.rows[2], 1 + h / before.h * PLACES) - v) / h
         solved = self._solver.solve(begin, (x, lam))
-        # Where steps are controlled a smaller one is the better cure.
+        # Under error control a smaller step is the better remedy.
         while isinstance(solved, Failure) and part > _SHORTEST and not self._tolerances:
             part /= 4
             solved = self._solver.solve(begin._replace(h=part * h), (still, lam))
@@ -164,7 +165,7 @@ class RadauStepper(OneStepMethod[State]):
         return solved
 
     def _controlled(self, x: Array, before: State, after: State) -> State:
-        """Return the state `after` with its estimated errors and, if asked for, derivatives."""
+        """Return the state `after` with its estimated errors and, if requested, derivatives."""
         middle = linearised(self._problem.system, *(row[2:3] for row in after.rows))
         rates = after.rows[2].real, before.rows[3][-1].real
         errors = self._embedded(middle, after.h, rates, x.real)
@@ -187,7 +188,10 @@ class RadauStepper(OneStepMethod[State]):
     def _embedded(
         self, local: Linearisation, h: float, rates: tuple[Array, Array], x: Array
     ) -> tuple[Array, ...]:
-        """Return dq and dv of velocities at start and stages and a at the start; columns alike."""
+        """Return the error estimates dq and dv of a step, also for columns of derivatives.
+
+        `rates` are velocities at start and stages, and a at the start.
+        """
         system, (M, f_q, f_v) = self._problem.system, (local.M[0], local.f_q[0], local.f_v)
         (v, a), e = rates, at_stages(EMBEDDED, x)[0]
         terms: tuple[tuple[float, Array], ...] = (GAMMA**2, M), (h**2, f_q)
@@ -211,7 +215,7 @@ class RadauStepper(OneStepMethod[State]):
         return tuple(x + y for x, y in zip((dq, dv), lifted, strict=True))
 
     def error(self, h: float, before: State, after: State) -> float:
-        """Return the largest e, of positions, velocities, their derivatives and turns."""
+        """Return the largest e, of positions, velocities, their derivatives and rotations."""
         if not self._tolerances:
             return 0.0
         errors = [turn_error(self.system, float(after.rows[0][-1]), h, self.order)]
@@ -230,15 +234,15 @@ class RadauStepper(OneStepMethod[State]):
         return float(np.max(errors))  # NaN if one is.
 
     def _round_off(self, h: float, k: int, q: Array, sizes: Array | float) -> Array:
-        """Return the round-off of the estimate, of positions over h for velocities (k = 1).
+        """Return the round-off of the estimate for positions (k = 0) or velocities (k = 1).
 
-        x has that of positions over h^2. Sizes of derivatives that are infinite are not known yet.
+        x has the round-off of positions over h^2. Infinite sizes of derivatives are not known yet.
         """
         least = np.multiply.outer(self._problem.scales.q, np.where(np.isfinite(sizes), sizes, 0.0))
         return np.asarray(_EPS * (np.abs(q) + least) / h**k)
 
     def start_error(self) -> float:
-        """Return e of the first step that can be solved, relative to its size^order."""
+        """Return e of the first step that can be solved, divided by its size^order."""
         for part in _FIRST if self._tolerances else ():
             h = part * self._tolerances[0].t_end
             after = self.advance(h, self.start(h), h)

@@ -1,7 +1,7 @@
-"""Control of the step, apart from the method that takes it.
+"""Control of the step size, separate from the method that takes the steps.
 
-`StepControl` holds the settings, `Controller` decides in a run, `OneStepMethod` is what a method
-offers for it, and `march` brings both to the end.
+`StepControl` holds the settings, `Controller` decides in a run, `OneStepMethod` is the interface of
+a method, and `march` runs both to the end.
 """
 
 from ancfdae.integrators.step_control.contracts import StepControl

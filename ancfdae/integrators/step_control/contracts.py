@@ -1,31 +1,26 @@
-"""Contracts of step control: sizes, errors against tolerances, and the loop over the steps.
+"""Interfaces of step control, errors against tolerances, and the loop over the steps.
 
-Sizes that derivatives reach in a run, which error control of them needs beforehand.
-
-Derivatives in parameters start from zero, so that the start does not tell their sizes S_j
-but a run before does.
-
-Error of a step against its tolerance.
-
-With delta what the positions miss in a step, the rates delta / h add up to the error of the run, so
-that is what the tolerance bounds (error per unit step):
+**Error of a step against its tolerance.** With delta the defect of the positions in a step, the
+rates delta / h add up to the error of the run, so they are what the tolerance bounds (error per
+unit step):
 
     e^2 = mean over i of (T delta_i / h / (rtol |r_i| + atol Q_i))^2
 
 with T the length of the run, |r_i| the root mean square of the vector to which coordinate i
-belongs, positions from the place of the system, and Q_i the size of coordinate i (`Problem`,
-`Scales`). A step is accepted if e <= 1.
+belongs, positions from the place of the system, and Q_i the size of coordinate i (`Scales`). A step
+is accepted if e <= 1.
 
 Where derivatives are integrated too, each design variable j has its own e, from the derivative of
 delta in the design, with
 
     rtol |r_b,ij| + atol S_j Q_i
 
-below the fraction and twice the value, because errors of the motion feed into those of its
-derivatives as much again; the largest e is that of the step. S_j is the largest size of
-derivative j in the run, relative to the coordinates .
+below the fraction and twice the value, because errors of the motion add as much again to those of
+its derivatives; the largest e is that of the step. S_j is the largest size of derivative j in the
+run, relative to the coordinates.
 
-A method offers, a controller decides, a user sets; `march` brings them to the end.
+**Sizes S_j** must be known before the run. Derivatives in parameters start from zero, so that the
+start does not show them; a rough run determines them.
 """
 
 from __future__ import annotations
@@ -50,16 +45,16 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
 
 _TWICE = 2.0
-# A change of the design by its own size that moves the coordinates by less than this part of
-# theirs is none (measured where the influence is zero, E = 1e7 to 1e13 Pa: 1e-15 at most).
+# A design variable has no influence if a change by its own size moves the coordinates by less than
+# this, relatively (measured where the influence is zero, E = 1e7 to 1e13 Pa: 1e-15 at most).
 _ROUND_OFF = 1e-12
 
 
 def with_own_sizes(rough: Solution, run: Callable[[Array], Solution], scales: Scales) -> Solution:
-    """Repeat a run until its derivatives have the sizes that it was controlled under.
+    """Repeat a run until its derivatives have the sizes that controlled its steps.
 
-    They come from a rough run under error control of the motion alone. Where that had them too
-    large the tolerance was too loose; then the sizes found count, and all is run again.
+    The first sizes come from `rough`, a run under error control of the motion alone. If they were
+    too large the tolerance was too loose; then the sizes found are used, and the run is repeated.
     """
     solution, sizes_b = rough, None
     while solution.outcome.verdict is not Verdict.INTERRUPTED:
@@ -77,9 +72,9 @@ def with_own_sizes(rough: Solution, run: Callable[[Array], Solution], scales: Sc
 
 
 def derivative_sizes(scales: Scales, q_b: Array) -> Array:
-    """Return S_j of the derivatives of a run, shape (n_t, n_q, n_b).
+    """Return S_j, (n_b,), of the derivatives of a run, shape (n_t, n_q, n_b).
 
-    Infinite if they are not finite, and zero if they are round-off.
+    S_j is infinite if derivatives are not finite, and zero if they are round-off.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         squares = mean_squares(q_b, scales.q)
@@ -95,18 +90,18 @@ def mean_squares(x: Array, sizes: Array) -> Array:
 
 
 def sizes_hold(assumed: Array, shown: Array) -> bool:
-    """Whether the sizes by which a run was controlled are at most twice the sizes it reached.
+    """Return whether assumed sizes of derivatives are at most twice the sizes reached.
 
-    Round-off has no size to compare with, and no error either.
+    Sizes of round-off are not compared, because they bound no error.
     """
     return bool(np.all((shown == 0) | ((assumed > 0) & (assumed <= _TWICE * shown))))
 
 
 def smaller_sizes(assumed: Array, shown: Array) -> Array:
-    """Return the smaller ones; zero, which bounds nothing, counts as none.
+    """Return the smaller of both sizes, (n_b,); zero, which bounds nothing, does not count.
 
-    Where `sizes_hold` is false one of them at least falls to half or stops being zero, which none
-    becomes again, so that repeating a run ends.
+    Where `sizes_hold` is false at least one of them falls to half or stops being zero, and none
+    becomes zero again, so that repeating a run ends.
     """
     smaller = np.where(assumed > 0, np.minimum(assumed, shown), shown)
     return np.where(shown > 0, smaller, assumed)
@@ -120,7 +115,11 @@ _FED = 2.0
 @final
 @dataclass(frozen=True)
 class Tolerance:
-    """Measure of the error of a step: sizes Q_i, and sizes_b S_j, zero without influence."""
+    """Tolerance of the error of a step; see the module.
+
+    `sizes` are the sizes Q_i of coordinates, (n_q,), `sizes_b` the sizes S_j of derivatives,
+    (n_b,), zero for design variables without influence.
+    """
 
     rtol: float
     atol: float
@@ -135,7 +134,7 @@ class Tolerance:
     def of_derivatives(
         self, h: float, delta_b: Array, size_b: Array, blur_b: Array | float = 0.0
     ) -> float:
-        """Return the largest e of the derivatives; `size_b` is |r_b|."""
+        """Return the largest e of the derivatives; `size_b` is |r_b|, `blur_b` round-off."""
         seen = self.sizes_b > 0
         least = self.sizes[:, None] * self.sizes_b
         allowed = self.rtol * size_b + self.atol * least + blur_b
@@ -149,10 +148,10 @@ class Tolerance:
 def estimated_errors(
     scales: Scales, scale: Array, rise: Array, sensitivities: Sensitivities | None
 ) -> ErrorEstimates:
-    """Add up the errors of all n steps of a run, relative to Q_i and Q_i S_j.
+    """Return the summed errors of all n steps of a run, relative to Q_i and Q_i S_j.
 
-    They are the scale, (n,), times the rises of the accelerations, (n, n_q), and of a_b of the
-    derivatives.
+    The error of a step is `scale`, (n,), times the increment of the accelerations, (n, n_q), or of
+    a_b for the derivatives.
     """
     # A run that diverged overflows; its error counts as infinite.
     with np.errstate(over="ignore", invalid="ignore"):
@@ -167,28 +166,28 @@ def estimated_errors(
 
 
 def _added_up(scale: Array, rises: Array, sizes: Array) -> Array:
-    """Add up, over steps, root mean squares over coordinates; infinite where that is no number."""
+    """Return sums over steps, (n_b,) or a scalar, of root mean squares; infinite if not finite."""
     total = np.abs(scale) @ np.sqrt(mean_squares(rises, sizes))
     return np.where(np.isfinite(total), total, np.inf)
 
 
-# What a method knows at an instant.
+# Internal state of a method after a step.
 State = TypeVar("State")
 # Time, q, v, a, lam and, where derivatives are integrated too, q_b, v_b, a_b, lam_b; or rows of
-# several instants.
+# several time points.
 Record = tuple[float | Array, Array, Array, Array, Array, tuple[Array, ...]]
 
 
 _NONE = np.zeros(0)
 _UNSEEN = "However short the steps are, they pass over the contact."
-# Steps that a controller may take back, one after another.
+# Most steps in a row that a controller may take back.
 BACK = 4
-# Ends of runs for which joints that lock may be the reason.
+# Reasons for the end of a run that locking joints may explain.
 _STUCK = (Verdict.NO_CONVERGENCE, Verdict.ERROR_TEST)
 
 
 class Failure(NamedTuple):
-    """Why a step was not solved: the size of the last correction, and what may help, in words."""
+    """Why a step was not solved: the size of the last correction, and a remedy in words."""
 
     verdict: Verdict
     correction: float
@@ -196,7 +195,7 @@ class Failure(NamedTuple):
 
 
 class Reached(NamedTuple):
-    """Progress of a run: index, time, size of the last step, and state of the method."""
+    """Progress of a run: index of the next step, time, size of the last step, and state."""
 
     n: int
     t: float
@@ -205,15 +204,16 @@ class Reached(NamedTuple):
 
 
 _NOWHERE = Reached(0, 0.0, 0.0, None)
-# Steps under control that are taken at once.
+# Most steps under error control of one call of the kernel.
 _TOGETHER = 64
 
 
 class Batch(NamedTuple):
-    """Steps under control that were taken at once: ends, and the numbers of the filter after each.
+    """Steps under error control of one call: end times, and `Controller.numbers` after each.
 
-    `states` returns the state after a number of steps. After them `why` says that no step helps,
-    or the run goes on from an earlier time point with the index `again`.
+    `states` returns the state after its first k steps. If no further step helps, `why` is the
+    reason; otherwise the run continues, from the earlier step with index `again` if that is not
+    None.
     """
 
     ends: Array
@@ -224,11 +224,12 @@ class Batch(NamedTuple):
 
 
 class OneStepMethod(abc.ABC, Generic[State]):
-    """A run of a method that goes from state to state of a system; how far, others decide.
+    """A one-step method applied to a system; a `Controller` decides the step sizes.
 
-    Its e falls with the step to the power `order`. Where accelerations and multipliers suffer from
-    a step that jumps, which is the rule, steps change slowly. Controlled steps end at breakpoints.
-    A run under control that will take more steps than `many` warns, with the remedy in words.
+    Its error e falls with the step to the power `order`. Unless it `bears_jumps`, accelerations and
+    multipliers suffer from jumps of the step size, so that steps change slowly. Controlled steps
+    end at breakpoints. A run under control that will take more steps than `many` warns, with the
+    remedy.
     """
 
     order: ClassVar[int]
@@ -243,18 +244,18 @@ class OneStepMethod(abc.ABC, Generic[State]):
 
     @abc.abstractmethod
     def start(self, h: float) -> State:
-        """Return the start of a run whose first step has the size h."""
+        """Return the start of a run whose first step has the size h, s."""
 
     @abc.abstractmethod
     def resized(self, state: State, ratio: float) -> State:
-        """Return a state for a step whose size is `ratio` times that of the step before."""
+        """Return a state for a step of `ratio` times the size of the step before."""
 
     @abc.abstractmethod
     def advance(self, h: float, before: State, t: float) -> State | Failure:
-        """Return the state at t, after a step of size h, or why it was not solved."""
+        """Return the state at t, after a step of size h, s, or why it was not solved."""
 
     def march(self, before: State, sizes: Array, ends: Array) -> tuple[int, State]:
-        """Take and record as many of the given steps as go at once; by default none.
+        """Take and record as many of the given steps as one call can; by default none.
 
         Returns their number and the state after them.
         """
@@ -263,9 +264,9 @@ class OneStepMethod(abc.ABC, Generic[State]):
     def controlled(
         self, begin: Reached, controller: Controller, recorder: SolutionRecorder, most: int
     ) -> Batch | None:
-        """Take up to `most` steps under control, and write their states to the next rows.
+        """Take up to `most` steps under error control, and write them to the next rows.
 
-        None where steps are taken one by one, which is the rule.
+        None if this method takes such steps one by one, the default.
         """
         return None
 
@@ -275,18 +276,18 @@ class OneStepMethod(abc.ABC, Generic[State]):
 
     @abc.abstractmethod
     def error(self, h: float, before: State, after: State) -> float:
-        """Return e of a step (`Tolerance`); zero where there is no tolerance."""
+        """Return e of a step (`Tolerance`); zero without a tolerance."""
 
     @abc.abstractmethod
     def start_error(self) -> float:
-        """Return e of a first step of size 1, estimated from the start; it goes with h^order."""
+        """Return e of a first step of size 1 s, estimated at the start; e falls with h^order."""
 
 
 class Controller(abc.ABC):
-    """Decides the steps of a run; of the method it sees numbers only.
+    """Chooses the step sizes of a run, from the times and errors of its steps.
 
-    Kernels choose steps by the `numbers` of a filter (`StepFilter` in `control.h`), which they
-    change, and by the `stops` at which steps end. Known steps have an empty array of numbers.
+    Kernels choose sizes by `numbers` (`StepFilter` in `kernels/control.h`), which they change, and
+    by `stops`, times at which steps must end, s. For known steps `numbers` is empty.
     """
 
     numbers: Array = _NONE
@@ -294,25 +295,24 @@ class Controller(abc.ABC):
 
     @abc.abstractmethod
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
-        """Return size and end of the step after instant n at time t, or how the run ends there."""
+        """Return size and end of the step after step n at time t, or why the run ends there."""
 
     def known(self, n: int) -> tuple[Array, Array]:
-        """Return sizes and ends of some steps from instant n on that any step leads to; or none."""
+        """Return sizes and ends of further steps from step n on that are fixed; empty if none."""
         return _NONE, _NONE
 
     @abc.abstractmethod
     def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
-        """Judge a step of size h from instant n at time t by its e; None if it was not solved.
+        """Judge step n, of size h from time t, by its e; None if it was not solved.
 
-        Returns the instant to go on from: n + 1 if the step counts, n if another size is to be
-        tried, n - 1 if the step before is to be repeated, 0 if the run begins anew; or why no step
-        helps.
+        Return why no step helps, or the index of the next step: n + 1 after an accepted step, n to
+        try another size, n - 1 to repeat the step before, 0 to start the run anew.
         """
 
     def passed(self, ends: Array, anew: bool) -> int:
-        """Count accepted steps with these ends; return how many of them lead on.
+        """Note accepted steps with these end times; return how many of them count.
 
-        After them the run may begin anew.
+        With `anew` the run starts anew after them.
         """
         return len(ends)
 
@@ -322,13 +322,13 @@ class Controller(abc.ABC):
 
 
 class StepControl(abc.ABC):
-    """Frozen settings of how the steps of a run are chosen; `kind` says it in a word."""
+    """Immutable settings of how the steps of a run are chosen; `kind` names it in a word."""
 
     kind: ClassVar[str] = "fixed"
 
     @abc.abstractmethod
     def count(self, t_end: float) -> int:
-        """Return the number of steps to `t_end`, which must fit, or a guess."""
+        """Return the number of steps to `t_end`, s, which must fit, or a guess."""
 
     @abc.abstractmethod
     def tolerance(self, t_end: float, sizes: Array, sizes_b: Array) -> Tolerance | None:
@@ -338,19 +338,19 @@ class StepControl(abc.ABC):
     def controller(
         self, t_end: float, method: OneStepMethod[Any], state: tuple[float, ...] = ()
     ) -> Controller:
-        """Return the controller of the steps of one run; `state` is that of a run to continue."""
+        """Return the controller of the steps of one run; `state` continues an earlier run."""
 
     @abc.abstractmethod
     def continues(self, t: Array, state: tuple[float, ...], t_end: float) -> bool:
-        """Whether a run with the instants t, which left this state, can go on to `t_end`."""
+        """Return whether a run with times t, which left this state, can go on to `t_end`."""
 
     @abc.abstractmethod
     def sizes(self, t: Array) -> Array:
-        """Return the steps of a run with the instants t."""
+        """Return the step sizes of a run with end times t of its steps; s."""
 
     @abc.abstractmethod
     def frozen(self, t: Array) -> StepControl:
-        """Return the control that repeats the steps of a run with times t, whatever the design."""
+        """Return the control that repeats the steps of a run with times t, at any design."""
 
     @abc.abstractmethod
     def refined(self, t: Array) -> StepControl:
@@ -367,7 +367,7 @@ def march(
 ) -> tuple[Solution, Reached]:
     """Step to the end; after a failure or an interrupt the solution holds the steps so far.
 
-    The recorder has what was reached before.
+    The recorder holds the states before `reached`.
     """
     if reached is _NOWHERE:
         recorder.record(*method.consistent())
@@ -390,7 +390,7 @@ def march(
             end = Failure(Verdict.SINGULAR, 0.0)
         except KeyboardInterrupt:
             end = Failure(Verdict.INTERRUPTED, 0.0)
-    # What ended before this check was reached is checked all the same.
+    # Also check states of a run that ended before the check in the loop.
     lost = lost or watch.missed(all_of_them=True)
     if lost is not None:
         end = Failure(lost.verdict, 0.0, lost.remedy)
@@ -410,9 +410,9 @@ def _next(
     contacts: ContactRecord | None,
     path: deque[Reached],
 ) -> Reached | Failure:
-    """Try a step; return where the run stands then, or how it ends there.
+    """Try a step; return the progress of the run after it, or how the run ends.
 
-    The path ends where the run stands, with some places before; a step that counts is added.
+    `path` ends with the present progress, after some earlier ones; an accepted step is appended.
     """
     n, t, _, now = reached = path[-1]
     planned = controller.plan(n, t)
@@ -457,7 +457,7 @@ def _next(
 
 
 def _again(judged: int, recorder: SolutionRecorder, path: deque[Reached]) -> Reached:
-    """Return to the time point with the index `judged`: the last, the one before, or the start."""
+    """Return the progress at step `judged`: the last, the one before, or the start of the run."""
     if judged == path[-1].n:
         return path[-1]
     if judged > 0:
@@ -477,10 +477,10 @@ def _controlled(
     begin: Reached,
     path: deque[Reached],
 ) -> Reached | Failure | None:
-    """Take steps under control at once; return as `_next`, None where they go one by one.
+    """Take several steps by one call of the method; return as `_next`, or None if it cannot.
 
-    Steps are kept up to one that is judged anew: it left the root of a drive, or it passed over a
-    contact.
+    Steps count up to the first that leaves the root of a driven joint or passes over a contact;
+    that one is judged as not solved.
     """
     first, before = controller.numbers.copy(), recorder.last(1)
     batch = method.controlled(begin, controller, recorder, 1 if contacts else _TOGETHER)

@@ -1,24 +1,21 @@
-"""Steps that are known before the run, and steps as large as the tolerances allow.
+"""Fixed and prescribed steps, and adaptive steps as large as the tolerances allow.
 
-Steps that are known before the run: of one size, or between given instants.
+Adaptive steps are accepted if their error e is at most 1.
 
-Steps as large as the tolerances allow.
-
-A step is accepted if its error, e, is at most 1.
-
-**Size of the next step.** Where the step jumps, multipliers and accelerations suffer a transient
-of first order (docs/theory/13-errors.md); where it changes slowly they keep the order of the
-method. So sizes come from a digital filter (H211b of Soderlind 2003, with b = 4), aiming at
-e = 1/2. With p the order of the method
+**Size of the next step.** Where the step jumps, multipliers and accelerations suffer a transient of
+first order (docs/theory/13-errors.md); where it changes slowly they keep the order of the method.
+So sizes come from a digital filter (H211b of Soderlind 2003, with b = 4), aiming at e = 1/2. With p
+the order of the method
 
     h_{n+1}/h_n = (x_n x_{n-1})^(1/8) (h_n/h_{n-1})^(-1/4),     x = (1/(2 e))^(1/p).
 
 The step of a method that bears jumps follows e at once, h_{n+1}/h_n = x_n.
 
-**Errors that no step removes.** Velocities of HHT-I3 meet their constraints up to O(h^2). What a
-long step leaves of them, delta, the next step removes by accelerations of the size delta/h, and e
-of that step, which goes with h a, is the same for every h. Where e does not fall with h the step
-before is repeated with half its size, and if its own e does not fall then, the one before that.
+**Errors that no step removes.** Velocities of HHT-I3 satisfy their constraints up to O(h^2). The
+violation delta that a long step leaves, the next step removes by accelerations of the size delta/h,
+and e of that step, which goes with h a, is the same for every h. Where e does not fall with h the
+step before is repeated with half its size, and if its own e does not fall then, the one before
+that.
 """
 
 from __future__ import annotations
@@ -43,7 +40,6 @@ from ancfdae.integrators.step_control.contracts import (
     Tolerance,
 )
 from ancfdae.kernels import (
-    CHANGING,
     FILTER,
     FINISHED,
     NEVER_SOLVED,
@@ -53,13 +49,13 @@ from ancfdae.kernels import (
 )
 from ancfdae.numerics.arrays import Array
 
-# Steps may miss the end time by this many parts of their number (accumulated round-off).
+# Largest relative difference of the end of the steps from the end time (accumulated round-off).
 _WHOLE = 1e-9
-# Steps that are taken at once.
+# Most steps of one call of the kernel.
 _PACKET = 256
-# A number of steps is exact up to here.
+# Largest number of steps that a float represents exactly.
 _COUNTABLE = 2.0**53
-# A longer list of instants is shortened where it is printed.
+# Most times that are printed; longer lists are shortened.
 _SHOWN = 6
 
 
@@ -80,7 +76,7 @@ class _KnownSteps(StepControl):
     def controller(
         self, t_end: float, method: OneStepMethod[Any], state: tuple[float, ...] = ()
     ) -> Controller:
-        """Return the controller that takes the prescribed steps."""
+        """Return the controller that takes the known steps."""
         t = self.instants(t_end)
         return StepPlan(self.sizes(t), t[1:])
 
@@ -93,22 +89,22 @@ class _KnownSteps(StepControl):
 @final
 @dataclass(frozen=True)
 class FixedSteps(_KnownSteps):
-    """Steps of one size (s); InvalidInputError if it is not positive, or its square is no number.
+    """Steps of one size, s; InvalidInputError if it is not positive, or its square loses precision.
 
-    Where the end time is no whole number of them, all are shorter by the same factor. (One shorter
+    If the end time is not a whole number of steps, all are shorter by the same factor. (One shorter
     last step would cost the multipliers of HHT-I3 their order, docs/theory/13-errors.md.)
     """
 
     step: float
 
     def __post_init__(self) -> None:
-        # Python's numbers: one of NumPy's of single precision would spread its precision.
+        # Converted to a Python float: single precision of NumPy would spread.
         require_positive("FixedSteps.step", self.step)
         require_square("FixedSteps.step", float(self.step))
         object.__setattr__(self, "step", float(self.step))
 
     def count(self, t_end: float) -> int:
-        """Return the number of steps of this size at most."""
+        """Return the number of steps of at most this size to `t_end`, s."""
         require_positive("t_end", t_end)
         steps = t_end / self.step
         if not steps < _COUNTABLE:
@@ -120,14 +116,14 @@ class FixedSteps(_KnownSteps):
         return count
 
     def instants(self, t_end: float) -> Array:
-        """Return multiples of the step, without accumulated round-off."""
+        """Return the times of the steps, (n + 1,), s, without accumulated round-off."""
         count = self.count(t_end)
         if self._is_step(t_end / count):
             return self.step * np.arange(count + 1)
         return np.linspace(0.0, t_end, count + 1)
 
     def sizes(self, t: Array) -> Array:
-        """Return the step, free of the round-off of the instants."""
+        """Return the step size for each step, (n,), s, free of the round-off of the times t."""
         return np.full(len(t) - 1, self._size(t))
 
     def refined(self, t: Array) -> StepControl:
@@ -135,7 +131,7 @@ class FixedSteps(_KnownSteps):
         return FixedSteps(self._size(t) / 2)
 
     def _size(self, t: Array) -> float:
-        """Return the step of a run with the instants t."""
+        """Return the step size of a run with times t; s."""
         taken = float(t[1]) if len(t) > 1 else self.step
         return self.step if self._is_step(taken) else taken
 
@@ -146,10 +142,10 @@ class FixedSteps(_KnownSteps):
 @final
 @dataclass(frozen=True)
 class PrescribedSteps(_KnownSteps):
-    """Steps between given instants, such as those of another run.
+    """Steps between given times, such as the times of another run.
 
-    They increase from 0 on (s); the last one is the end of the run. InvalidInputError if they do
-    not.
+    Times, s, increase from 0; the last one is the end of the run. Raises InvalidInputError
+    otherwise.
     """
 
     times: tuple[float, ...]
@@ -177,7 +173,7 @@ class PrescribedSteps(_KnownSteps):
         return f"PrescribedSteps(times=({first}, ..., {self.times[-1]!r}))"
 
     def count(self, t_end: float) -> int:
-        """Return the number of steps; the end must be the last instant."""
+        """Return the number of steps; `t_end` must be the last of the times."""
         require_positive("t_end", t_end)
         last = self.times[-1]
         if not math.isclose(last, t_end, rel_tol=_WHOLE):
@@ -190,12 +186,12 @@ class PrescribedSteps(_KnownSteps):
         return len(self.times) - 1
 
     def instants(self, t_end: float) -> Array:
-        """Return the given times, shape (n + 1,), s; refuse a run that ends elsewhere."""
+        """Return the given times, (n + 1,), s; InvalidInputError if the run ends elsewhere."""
         self.count(t_end)
         return np.array(self.times)
 
     def sizes(self, t: Array) -> Array:
-        """Return the distances of the instants."""
+        """Return the differences of the times t, (n,); s."""
         return np.diff(t)
 
     def refined(self, t: Array) -> StepControl:
@@ -207,13 +203,13 @@ class PrescribedSteps(_KnownSteps):
 @final
 @dataclass(frozen=True, eq=False)
 class StepPlan(Controller):
-    """Sizes and ends of all steps, of the one that begins at instant n at place n."""
+    """A controller of known steps: sizes and ends of all steps, step n at index n."""
 
     all_sizes: Array
     ends: Array
 
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
-        """Return the step as it is known."""
+        """Return size and end of step n."""
         if n == len(self.ends):
             return Verdict.FINISHED
         return float(self.all_sizes[n]), float(self.ends[n])
@@ -224,30 +220,31 @@ class StepPlan(Controller):
         return self.all_sizes[packet], self.ends[packet]
 
     def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
-        """Go on if the step was solved."""
+        """Return the next step if this one was solved, else NO_CONVERGENCE."""
         return Verdict.NO_CONVERGENCE if error is None else n + 1
 
     def state(self) -> tuple[float, ...]:
-        """Return nothing: the instants say it all."""
+        """Return an empty state: the times determine the steps."""
         return ()
 
 
 def require_square(where: str, value: float) -> None:
-    """Refuse times whose square, or its inverse, is no number of full precision."""
+    """Raise InvalidInputError for times whose square, or its inverse, loses precision."""
     if not sys.float_info.min < value * value < math.inf:
         repair = "Choose units of time in which the run takes 1e-6 to 1e6."
         raise InvalidInputError(where, "must have a square that is a number", value, repair)
 
 
-# Second order asks for a tolerance of the same size where coordinates pass through zero.
+# Least rtol of adaptive steps.
 _LEAST_RTOL = 1e-12
-# Sizes of derivatives need no better tolerance.
+# Tolerance of the rough run that determines sizes of derivatives.
 _ROUGH = 1e-3
-# Instants to allot memory for where their number is not known.
+# Number of rows to reserve if the number of steps is not known.
 _ROWS = 1000
 _AIM = 0.5
-# Numbers of `_Filter.state`.
-_NUMBERS = CHANGING.stop - CHANGING.start
+#: Numbers of a filter that change in a run and continue it.
+_CHANGING = slice(4, 12)
+_NUMBERS = _CHANGING.stop - _CHANGING.start
 
 
 @final
@@ -258,20 +255,20 @@ class AdaptiveSteps(StepControl):
     Parameters
     ----------
     rtol : float
-        What the errors of all steps may add up to, relative to the size of every vector (slope,
-        or position from the mean position at the start); the step follows from it. The run errs
+        Bound of the sum of the errors of all steps, relative to the size of every vector (slope, or
+        position from the mean position at the start); the step sizes follow from it. The run errs
         by up to 10 times as much (docs/theory/13-errors.md).
     atol : float, optional
         The same relative to the size of the coordinates at the start (`Scales`), for coordinates
         that pass through zero; by default rtol. With `sensitivities` also relative to the size of
         each derivative: the smaller, the shorter the first steps, where they are zero.
     max_steps : int
-        Steps, repeated ones included, before a run ends with an outcome.
+        Largest number of steps, rejected ones included, after which a run ends with an outcome.
     sensitivities : bool
-        Whether the tolerance also bounds the errors of the design derivatives q_b, each relative
-        to its largest size in the run. They are then always integrated with the
-        motion, after a run that determines their sizes. Without it gradients of undamped waves can
-        be wrong by any factor of the tolerance (docs/reports/work-precision).
+        Whether the tolerance also bounds the errors of the design derivatives q_b, each relative to
+        its largest size in the run. They are then always integrated with the motion, after a run
+        that determines their sizes. Without it gradients of undamped waves can be wrong by any
+        factor of the tolerance (docs/reports/work-precision).
     """
 
     kind: ClassVar[str] = "controlled"
@@ -293,11 +290,11 @@ class AdaptiveSteps(StepControl):
         require_kind(where, self.sensitivities, (bool,), "True or False.")
 
     def rough(self) -> AdaptiveSteps:
-        """Return the control of the run from which the sizes of the derivatives are read."""
+        """Return the control of the rough run that determines the sizes of the derivatives."""
         return replace(self, rtol=max(self.rtol, _ROUGH), atol=None, sensitivities=False)
 
     def count(self, t_end: float) -> int:
-        """Return a guess of the number of rows to reserve: the steps are not known."""
+        """Return a guess of the number of rows to reserve, because the steps are not known."""
         require_positive("t_end", t_end)
         require_square("t_end", float(t_end))
         return _ROWS
@@ -308,13 +305,13 @@ class AdaptiveSteps(StepControl):
         return Tolerance(self.rtol, atol, t_end, sizes, sizes_b)
 
     def continues(self, t: Array, state: tuple[float, ...], t_end: float) -> bool:
-        """Whether the state is one of the filter."""
+        """Return whether the state is that of a digital filter, which can continue any run."""
         return len(state) == _NUMBERS
 
     def controller(
         self, t_end: float, method: OneStepMethod[Any], state: tuple[float, ...] = ()
     ) -> Controller:
-        """Return the digital filter; the first step has half the error that it aims at."""
+        """Return the digital filter; the first step has half the error at which it aims."""
         if state:
             return _Filter(method, 0.0, t_end, self.max_steps, state)
         e, longest = method.start_error(), t_end / 20
@@ -326,7 +323,7 @@ class AdaptiveSteps(StepControl):
         return np.diff(t)
 
     def frozen(self, t: Array) -> StepControl:
-        """Return the instants; of a run that never left its start, control of the motion."""
+        """Return steps at the times t; after a run without steps, control of the motion alone."""
         return (
             PrescribedSteps(tuple(t.tolist())) if len(t) > 1 else replace(self, sensitivities=False)
         )
@@ -338,9 +335,9 @@ class AdaptiveSteps(StepControl):
 
 @final
 class _Filter(Controller):
-    """The digital filter of the module description, which tries the step `first` first.
+    """The digital filter of the module, which tries `first`, s, as first step.
 
-    Its formulas stand in `kernels/control.h`, which numbers of a run they read and write.
+    Its formulas are in `kernels/control.h`; they read and change `numbers` (`StepFilter` there).
     """
 
     def __init__(
@@ -355,15 +352,15 @@ class _Filter(Controller):
         self.numbers = np.zeros(FILTER)
         self.numbers[:4] = method.order, method.bears_jumps, t_end, max_steps
         # Size, first size, wish, ratio, memory, last size, steps tried, steps left to the end.
-        self.numbers[CHANGING] = state or (first, first, 1.0, 1.0, 0.0, first, 0.0, 0.0)
+        self.numbers[_CHANGING] = state or (first, first, 1.0, 1.0, 0.0, first, 0.0, 0.0)
         self._pace = Pace(t_end, method.many, method.remedy)
 
     def state(self) -> tuple[float, ...]:
         """Return the numbers of the filter that change in a run, to continue it."""
-        return tuple(self.numbers[CHANGING].tolist())
+        return tuple(self.numbers[_CHANGING].tolist())
 
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
-        """Return the proposed step; the last ones before an end change linearly."""
+        """Return the proposed step; the last steps before an end change linearly."""
         planned, h, end = plan_step(self.numbers, self.stops, t)
         if planned == PLANNED:
             return h, end
@@ -379,7 +376,7 @@ class _Filter(Controller):
         return Verdict.ERROR_TEST if judged > n and self._pace.stalls(t + h) else judged
 
     def passed(self, ends: Array, anew: bool) -> int:
-        """Count accepted steps; return how many lead on."""
+        """Return how many accepted steps, which end at the times `ends`, pass the check of pace."""
         for k, end in enumerate(ends.tolist()):
             if self._pace.stalls(end):
                 return k

@@ -67,7 +67,7 @@ class AdjointSeeds:
         )
 
     def density(self, t: Array, q: Array, v: Array, lam: Array) -> list[Array]:
-        """Return the partials H_q, H_v, H_lam of the integrands at k states, one row each."""
+        """Return summed partials H_q, H_v, (k, n_q), and H_lam, (k, n_lam), of the integrands."""
         total = [np.zeros((len(t), x.shape[1])) for x in self.rows]
         for weight, density in self._densities:
             for H, partial in zip(total, density.partials(t, q, v, lam), strict=True):
@@ -333,7 +333,7 @@ class _IdasMarch(March):
         return np.append(y, Y), np.append(yp, Yp)
 
     def _sensitivities(self, t: float, k: int) -> Array:
-        """Return time derivatives of order k of the scaled sensitivities at t, shape (m, n)."""
+        """Return k-th time derivatives of the m scaled sensitivities at time t, shape (m, n)."""
         rows = np.empty((self._m, self._form.n))
         for i, row in enumerate(rows):
             self._bindings.check(

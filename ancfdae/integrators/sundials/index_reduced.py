@@ -117,7 +117,7 @@ class IndexReduced(abc.ABC):
 
     @abc.abstractmethod
     def _residual_b(self, at: _Instant, X: _Unknowns, Xp: _Unknowns) -> list[Array]:
-        """Return F_x X + F_x' X' + F_b for the rows of `_residual`, with n_b columns."""
+        """Return F_x X + F_x' X' + F_b of the module, n_b columns, in the rows of `_residual`."""
 
     @abc.abstractmethod
     def _blocks(self) -> list[tuple[Array, Array]]:
@@ -401,7 +401,7 @@ class StepPoints:
             self.finish()
 
     def finish(self) -> None:
-        """Pass the stored steps to the integrals; the last one stays as start of the next part."""
+        """Pass the stored steps to the integrals; the end of the last step starts the next part."""
         if len(self._t) > 1:
             t, y, yp = np.array(self._t), self._unscaled(self._y), self._unscaled(self._yp)
             y[0][:, 0] += self._form.place
@@ -423,7 +423,7 @@ class StepPoints:
             yield Points(KRONROD, h, *self._motion(times.ravel(), *within))
 
     def _unscaled(self, rows: list[Array]) -> tuple[Array, Array]:
-        """Return q - p and v, or their rates, and sensitivities, shape (steps, m + 1, n_q)."""
+        """Return q - p and v, or their rates, with sensitivities, shape (steps, m + 1, n_q)."""
         return self._form.unscaled(np.array(rows).reshape(len(rows), self._m + 1, -1))
 
     def _motion(self, t: Array, q: Array, v: Array) -> Trajectory:
@@ -432,7 +432,7 @@ class StepPoints:
 
 
 def _panels(t: Array, per_step: float) -> Array:
-    """Return the ends (s) of panels that span 1/per_step steps, or divide each step."""
+    """Return the ends of quadrature panels, s: `per_step` panels per step, or less than one."""
     if per_step < 1:
         return np.append(t[: -1 : round(1 / per_step)], t[-1])
     share = np.arange(round(per_step)) / per_step

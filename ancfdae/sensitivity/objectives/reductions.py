@@ -54,11 +54,11 @@ class Reduction(Objective):
 
     @abc.abstractmethod
     def reduce(self, x: Array, w: Array) -> Array:
-        """Return the objective from values x and quadrature weights w, none of them zero."""
+        """Return the objective from the observable's values x, (k,), and nonzero weights w."""
 
     @abc.abstractmethod
     def slopes(self, x: Array, w: Array) -> Array:
-        """Return the derivatives of `reduce` in the values x, shape of x, for real x."""
+        """Return the derivatives of `reduce` in real values x of the observable, shape of x."""
 
     def check(self, system: MechanicalSystem, t_end: float) -> None:
         """Raise if the system lacks the observable, or the run the times of the objective."""
@@ -135,11 +135,11 @@ class AtInstants(Reduction):
         return w
 
     def reduce(self, x: Array, w: Array) -> Array:
-        """Return the objective: the sum of the observable's values x with weights w."""
+        """Return the objective: the sum of the observable's values x, (k,), with weights w."""
         return np.asarray(w @ x)
 
     def slopes(self, x: Array, w: Array) -> Array:
-        """Return the derivatives of the sum in the values x: the interpolation weights w."""
+        """Return the derivatives of the sum in the values x, (k,): the interpolation weights w."""
         return w
 
 
@@ -171,7 +171,7 @@ class OverTime(Reduction):
         return np.asarray(self.integrand(x + 1j * STEP, near).imag / STEP)
 
     def slopes(self, x: Array, w: Array) -> Array:
-        """Return the weights times the derivative of the integrand at the reduction."""
+        """Return derivatives of the objective in x: weights times slopes of the integrand, (k,)."""
         return w * self.integrand_slope(x, float(self.reduce(x, w)))
 
 
@@ -189,7 +189,7 @@ class Integral(OverTime):
     observable: Observable
 
     def reduce(self, x: Array, w: Array) -> Array:
-        """Return the integral over time: the sum of quadrature weights times values."""
+        """Return the integral over time, a scalar: the sum of quadrature weights times values."""
         return np.asarray(w @ x)
 
     def factor(self, duration: float) -> float:
@@ -197,7 +197,7 @@ class Integral(OverTime):
         return 1.0
 
     def integrand(self, x: Array, near: float) -> Array:
-        """Return the integrand of the objective: the observable's values x."""
+        """Return the integrand of the objective, the observable's values x, in their shape."""
         return x
 
 
@@ -267,7 +267,7 @@ class _Maximum(Reduction):
         require_positive(f"{type(self).__name__}, sharpness", self.sharpness)
 
     def reduce(self, x: Array, w: Array) -> Array:
-        """Return (1/k) log(sum of w exp(k x)), with the largest x split off against overflow."""
+        """Return the scalar (1/k) log(sum of w exp(k x)), stable for large k x."""
         # SciPy's logsumexp takes 15 times as long, and integrators ask at every step.
         largest, k = np.max(x.real), self.sharpness
         return np.asarray(largest + np.log(w @ np.exp(k * (x - largest))) / k)
@@ -294,7 +294,7 @@ class SmoothMaximum(_Maximum, OverTime):
         return 1.0 / duration
 
     def integrand(self, x: Array, near: float) -> Array:
-        """Return exp(k (x - near)) / k: at the smooth maximum the mean of its slope is one."""
+        """Return exp(k (x - near)) / k, in the shape of the observable's values x."""
         return np.asarray(np.exp(self.sharpness * (x - near)) / self.sharpness)
 
 

@@ -89,7 +89,7 @@ class Function:
 
 
 def angle_of(y: Array, x: Array) -> Array:
-    """Return the angle of (x, y) from -pi to pi; analytic, as the remaining angle is small."""
+    """Return the angle of the vector (x, y) from -pi to pi, rad; analytic in complex x and y."""
     turn: Array = np.arctan2(np.real(y), np.real(x))
     if not (np.iscomplexobj(y) or np.iscomplexobj(x)):
         return turn

@@ -138,7 +138,7 @@ class Rotated(Leaf, abc.ABC):
         return LeafGradient(q=Columns(slice(None), q), b=b)
 
     def _value(self, scene: AncfSystem, states: States, changes: Changes) -> Array:
-        """Return the values, (k,), with slopes of the state and of the reference perturbed."""
+        """Return the observable, (k,), with `changes` of slopes of the state and the reference."""
         d, turned = scene.naming.layout.d, []
         for p, point in enumerate(self.points):
             now = np.stack([slope.of(states.q, d) for slope in self._slopes(scene, point)], axis=1)

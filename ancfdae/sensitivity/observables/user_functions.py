@@ -12,7 +12,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.checks import require_function, require_kind
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import OperationList, list_values
+from ancfdae.kernels import OperationList
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.complex_step import FAILURES, require_derivative
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
@@ -172,13 +172,13 @@ class _Formula:
     columns: tuple[Array, ...]
 
     def values(self, states: States, b: Array) -> Array:
-        """Return the value and then the partials in the columns, shape (k, 1 + n_columns)."""
+        """Return the value and its partials in the inputs `columns`, shape (k, 1 + n_columns)."""
         parts = (states.t[:, None], states.q, states.v, states.lam, b)
         used = [x[..., at] for x, at in zip(parts, self.columns, strict=True)]
-        return list_values(self.operations, *used)
+        return self.operations.values(*used)
 
     def gradient(self, partials: Array, n_b: int) -> LeafGradient:
-        """Return partials in the columns, (k, ...), as partials in states and design."""
+        """Return partials in the inputs `columns`, (k, ...), sorted by states and design."""
         begin, parts = len(self.columns[0]), list[Columns | None]()
         for at in self.columns[1:]:
             rows, begin = partials[:, begin : begin + len(at)], begin + len(at)

@@ -215,7 +215,7 @@ class _Path:
     t: float
 
     def _at(self, parts: Array) -> Array:
-        """Return the states at parameters `parts` of the path, shape (len(parts), 2, n_q)."""
+        """Return states at parameters `parts` of the path, interpolated, (len(parts), 2, n_q)."""
         n = np.minimum(parts.astype(int), len(self.states) - 2)
         share = (parts - n)[:, None, None]
         return np.asarray((1 - share) * self.states[n] + share * self.states[n + 1])
@@ -289,5 +289,5 @@ class _Seen(NamedTuple):
 
     @property
     def concentrated(self) -> bool:
-        """Whether all changes happen within a small part of a step."""
+        """Whether accelerations change within a small fraction of a step only."""
         return self.total < _RESOLVED * self.slope

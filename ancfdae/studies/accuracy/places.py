@@ -300,7 +300,7 @@ class _Path:
         )
 
     def states(self, n: Array, s: Array) -> States:
-        """Return the states at fractions s of the intervals n."""
+        """Return the states of the run at fractions s of its intervals n, (k,) each."""
         (n_q, _), x = self.sizes, self.at(n, s)
         return States(x[0], x[1 : 1 + n_q].T, x[1 + n_q : 1 + 2 * n_q].T, x[1 + 2 * n_q :].T)
 

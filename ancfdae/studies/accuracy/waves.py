@@ -156,7 +156,7 @@ def _rows(run: Solution) -> list[Array]:
 
 
 def _lasting(a: Array, weights: Array) -> Array:
-    """Return at every time point the least of _ROW successive second differences of a."""
+    """Return the least norm of _ROW successive second differences of a, at each time point."""
     sizes = np.sqrt(np.diff(a, n=2, axis=0) ** 2 @ weights)
     if len(sizes) < _ROW:
         return np.zeros(0)
@@ -312,7 +312,7 @@ def _of_a_derivative(
     scale: float,
     lost: Lost,
 ) -> None:
-    """Add possible errors of derivatives by a wave of a derivative of the motion to `lost`."""
+    """Add to `lost` the possible errors by a wave in a design derivative of the motion."""
     wave, j = found.wave, found.variable
     angle = min(wave.speed, _ANGLE / float(states.t[1] - states.t[0]))
     for k, each in enumerate(partials):
@@ -402,7 +402,7 @@ def _spectra(system: MechanicalSystem, run: Solution, *places: int) -> list[Arra
 
 
 def _spectrum(system: MechanicalSystem, M: Array, D: Array, K: Array, Phi_q: Array) -> Array:
-    """Return the eigenvalues of M s^2 + D s + K on the motions that Phi_q permits."""
+    """Return eigenvalues s of M s^2 + D s + K, 1/s, for motions that Phi_q permits, (2 n,)."""
     Z = np.eye(system.n_q)
     if system.n_lam:
         Z = scipy.linalg.null_space(system.constraint_pattern.dense(Phi_q))
