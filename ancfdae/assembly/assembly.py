@@ -104,7 +104,7 @@ class Assembly:
         return self._moving(self._declared, motion, self.q, self._velocities[0])
 
     def along(self, moved: Declared) -> tuple[Array, Array]:
-        """Return the derivatives of q and v, (n_q,) each, for the complex step in `moved`."""
+        """Return design derivatives of q and v, (n_q,) each, from the imaginary step in `moved`."""
         inverses = self._position_inverse, self._velocity_inverse
         return self._followed(moved, self._positions, self._velocities, inverses)
 
@@ -126,7 +126,7 @@ class Assembly:
         rates: Unknowns,
         inverses: tuple[LeastNorm, LeastNorm],
     ) -> tuple[Array, Array]:
-        """Return derivatives of q and v by one more step of Newton's method for each of them."""
+        """Return the design derivatives of q and v by one more Newton step for each."""
         x = y[0] - 1j * inverses[0].solve(self.closing.at(moved, y).imag)[: len(y[0])]
         q, motion = self.closing.placed(moved, x), self.closing.motion(x)
         F = self._velocity_equations(moved, q, self._moving(moved, motion, q, rates[0]), rates)
@@ -193,7 +193,7 @@ class Assembly:
         return x
 
     def _fits(self, y: Unknowns) -> bool:
-        """Whether joints are closed, and driven angles are not off by half a turn."""
+        """Whether joints are closed, and no driven angle is off by half a turn."""
         q = self.closing.placed(self._declared, y[0])
         return self._open(y[0]) <= _CLOSED and self._declared.constraints.opposite(q, 0.0) is None
 
@@ -293,7 +293,7 @@ class Assembly:
         return LeastNorm(self._velocity_matrix(1 if self._soft_rates else 3))
 
     def _velocity_matrix(self, count: int) -> Matrix:
-        """Return the matrix of all three velocity equations, or of one if rates stay open."""
+        """Return the matrix of all three velocity equations, or of one if joint rates stay open."""
         q = self.q.real
         J = self._rates.jacobian(q, self._rigid(q))
         return self._rates.matrix(J, [self._rates.flat] * count)
@@ -310,7 +310,7 @@ class Assembly:
     # -- what stays open -----------------------------------------------------------------------
 
     def _gaps(self, x: Array) -> Array:
-        """Return the residual of every joint equation, over the size, after rigid motions x."""
+        """Return each joint equation's residual over the size of the bodies, after motions x."""
         q = self.closing.placed(self._declared, x)
         return np.asarray(np.abs(self.closing.all_left(self._declared, q).real))
 
@@ -440,7 +440,7 @@ class AssembledStart:
         return q_b, v_b
 
     def pull_back(self, on_q: Array, on_v: Array) -> Array:
-        """Return q_b^T on_q + v_b^T on_v, shape (n_b,)."""
+        """Return q_b^T on_q + v_b^T on_v of the assembled start, shape (n_b,)."""
         total = np.zeros(len(self.b))
         for i, (along_q, along_v) in self.along.items():
             total[i] = on_q @ along_q + on_v @ along_v
@@ -465,7 +465,7 @@ class AssembledStart:
         return Assembly(closing, self._moves, scene.project_start)
 
     def _declared(self, i: int | None) -> Declared:
-        """Return the declaration, with design variable i (if given) moved by an imaginary step."""
+        """Return the declared start before assembly; variable i, if any, has an imaginary step."""
         joints, reference = self.joints, self.reference
         if i is not None:
             joints, reference = joints.moved(i), reference.moved(i)

@@ -81,7 +81,7 @@ class BeamElements:
         return np.concatenate([chord, X[..., 1:n_s, :], X[..., n_s + 1 :, :]], axis=-2)
 
     def spread(self, on_Y: Array) -> Array:
-        """Return gradients in node vectors from those in relative ones: `relative` transposed."""
+        """Return a gradient in node vectors from the gradient in relative node vectors."""
         n_s, chord = self.element.n_s, on_Y[..., :1, :]
         return np.concatenate([-chord, on_Y[..., 1:n_s, :], chord, on_Y[..., n_s:, :]], axis=-2)
 
@@ -139,7 +139,7 @@ class SectionForces:
 
     @cached_property
     def _moved(self) -> list[tuple[SectionLaw, Array, Array, Array]]:
-        """Evaluators with one element's parameter perturbed, the step, and its variables."""
+        """Evaluators with one element parameter perturbed, the perturbation, and its variables."""
         batch, laws = self._elements.batch, []
         for moved, size, (elements, variables), weights in self._elements.moved(
             lambda batch: batch
@@ -155,7 +155,7 @@ class SectionForces:
         return self._elements.element.section_law(batch, self._place)
 
     def _of(self, law: SectionLaw, X: Array, U: Array) -> Array:
-        """Return the six components of forces and moments in sections, shape (..., 6)."""
+        """Return section forces and moments N, V_y, V_z, T, M_y, M_z, (..., 6), of elements."""
         elements = self._elements
         return law.forces(elements.relative(X), elements.relative(U))
 
@@ -184,7 +184,7 @@ class StressPoints:
         )
 
     def partials(self, q: Array, v: Array, weights: Array, n_b: int) -> StatePartials:
-        """Return the partials of the sum of the stresses times `weights`, shape (k, n, n_p)."""
+        """Return partials in q, v and b of the sum of stresses times `weights`, (k, n, n_p)."""
         parts = [self._partials(q[k], v[k], weights[k], n_b) for k in self._parts(len(q))]
         rows = (np.concatenate(part) for part in zip(*parts, strict=True))
         # Coordinates of other bodies may lie between; their partials are zero.
@@ -258,7 +258,7 @@ class BeamSections:
         return SectionForces(self._elements(beam, run), place)
 
     def _acted_on(self, beam: str) -> set[int]:
-        """Return the nodes that joints, loads or masses act on, directly or in a next element."""
+        """Return the nodes at or next to which joints, loads or masses act."""
         scene, nodes = self._scene, set()
         for part in (*scene.joints, *scene.loads, *scene.point_masses):
             for point in part.points:
@@ -320,5 +320,5 @@ class BeamSections:
 
 
 def _held(places: tuple[Array, Array], batch: Batch) -> tuple[Array, Array]:
-    """Return y and z of fibres that no parameter moves."""
+    """Return coordinates y and z of fibres that no design parameter moves."""
     return places

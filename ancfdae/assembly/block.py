@@ -83,7 +83,7 @@ class ElementBlock:
 
 
 _COLUMNS = np.arange(len(ElementParameter))
-# : Whether the mass is independent of a parameter, by column of `ElementParameter`.
+#: Whether the mass is independent of a parameter, by column of `ElementParameter`.
 WEIGHTLESS = np.isin(
     _COLUMNS,
     (
@@ -155,7 +155,7 @@ class ElementForms:
         )
 
     def _distinct(self, parameters: Array) -> tuple[Invariants, Array]:
-        """Return the invariants of distinct elements, and the index of each element among them."""
+        """Return invariants of elements without duplicates, and each element's index in them."""
         element, kind, Y_unit = self.element, self.kind, self.Y_unit
         if not self.kinds:
             n_g, dtype = element.n_y * (element.n_y + 1) // 2, parameters.dtype

@@ -1,4 +1,4 @@
-"""Equations that close joints by rigid motions: F of `assembly.py`, and its matrix."""
+"""Equations F of rigid motions that close the joints (see `assembly.py`), and their Jacobian."""
 
 from __future__ import annotations
 
@@ -16,13 +16,12 @@ from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.least_norm import DENSE
 from ancfdae.numerics.patterns import SparsityPattern
 
-# : delta: weight of the motions relative to the gaps of joints, both over the size of the
-# mechanism.
+#: delta: weight of the motions relative to the gaps of joints, both over the size of the mechanism.
 SOFT = 1e-3
 
 #: Unknowns of a problem: a motion of all free bodies, and multipliers sigma and rho.
 Unknowns: TypeAlias = tuple[Array, Array, Array]
-# : An array, or for large problems a sparse array of SciPy.
+#: An array, or for large problems a sparse array of SciPy.
 Matrix: TypeAlias = Any
 
 
@@ -64,7 +63,7 @@ class Closing:
 
     @cached_property
     def shift(self) -> Array:
-        """Whether each free component of the motions is a displacement, shape (n_free,)."""
+        """Whether each free component of the rigid motions is a displacement, shape (n_free,)."""
         d = self.declared.Z.shape[1]
         is_shift = np.broadcast_to(np.arange(self.motions.n_x) < d, self.free.shape)
         return is_shift.ravel()[self._places]
@@ -80,7 +79,7 @@ class Closing:
 
     @cached_property
     def _freedom(self) -> Matrix:
-        """Matrix from the scaled free components of motions to all components."""
+        """Matrix from scaled free components of the rigid motions to all components."""
         place = self._places, np.arange(len(self._places))
         shape = self.motions.none.size, len(self._places)
         return scipy.sparse.csr_array((self._units, place), shape=shape)
@@ -133,21 +132,21 @@ class Closing:
         return self.motions.place(declared.Z, self.motion(x)).ravel()
 
     def all_left(self, declared: Declared, *motion: Array) -> Array:
-        """Return the scaled residuals of all equations, Phi, or its rate, shape (n_lam,)."""
+        """Return the scaled residuals of all joint equations, or of their rates, shape (n_lam,)."""
         return self.weights * declared.constraints.constraint(0.0, *motion)
 
     def left(self, declared: Declared, *motion: Array) -> Array:
-        """Return the scaled residuals of the equations that change with rigid motions, (rows,)."""
+        """Return the scaled residuals of joint equations that rigid motions can change, (rows,)."""
         return self.all_left(declared, *motion)[: self.rows]
 
     def at(self, declared: Declared, y: Unknowns) -> Array:
-        """Return F at the unknowns y for the positions of the bodies of `declared`."""
+        """Return the residual F of the closing equations at unknowns y, bodies as `declared`."""
         motion, q = self.motion(y[0]), self.placed(declared, y[0])
         T = self.motions.tangent(declared.Z, motion)
         return self.equations(declared, q, T, y, self.left(declared, q))
 
     def equations(self, declared: Declared, q: Array, T: Array, y: Unknowns, left: Array) -> Array:
-        """Return (F_1, F_2, F_3), where `left` holds the residuals of the joint equations."""
+        """Return the closing equations (F_1, F_2, F_3); `left` holds the joints' residuals."""
 
         def work(multipliers: Array) -> Array:
             force = declared.constraints.reaction(0.0, q, self._spread(multipliers))
@@ -161,7 +160,7 @@ class Closing:
         return np.concatenate([F_1, F_2, x[shift] + work(rho)[shift]])
 
     def _spread(self, multipliers: Array) -> Array:
-        """Return the multipliers of all equations, (n_lam,), from the scaled first `rows` ones."""
+        """Return multipliers of all joint equations, (n_lam,), from the first, scaled ones."""
         lam = np.zeros(len(self.weights), dtype=multipliers.dtype)
         lam[: self.rows] = self.weights[: self.rows] * multipliers
         return lam

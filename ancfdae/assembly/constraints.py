@@ -53,7 +53,7 @@ class JointFactors:
 
     @property
     def active(self) -> set[int]:
-        """Design variables that change a factor."""
+        """Design variables that change a time factor of a joint."""
         return {int(i) for slot in self._slots for i in np.flatnonzero(np.any(slot.item.p_b, 0))}
 
     def at(self, t: float, orders: int = 1) -> Array:
@@ -73,7 +73,7 @@ class JointFactors:
         return factors
 
     def over(self, t: Array, orders: int = 1) -> Array:
-        """Return factors and rates at times t, s, (orders, k, n_parts); k = 1 without drivers."""
+        """Return time factors and rates at times t, s, (orders, k, n_parts); k = 1 if undriven."""
         if not self.driven:
             return self._still[:orders]
         return self._table(t, orders)
@@ -97,17 +97,17 @@ class JointFactors:
         return np.concatenate([still, *(np.array(x) for x in each)], axis=2)
 
     def spread(self, t: Array, orders: int = 1) -> Array:
-        """Return factors and rates at times t, one row per time, shape (orders, k, n_parts)."""
+        """Return time factors and rates at times t, one row per time, (orders, k, n_parts)."""
         factors = self.over(t, orders)
         return factors if self.driven else np.repeat(factors, len(t), axis=1)
 
     @cached_property
     def turns(self) -> bool:
-        """Whether a joint prescribes an angle."""
+        """Whether one of the joints prescribes an angle."""
         return bool(np.any(self.by_turn(np.zeros(1))))
 
     def by_turn(self, t: Array) -> Array:
-        """Return the derivatives of the factors in prescribed angles at t, (1, k, n_parts)."""
+        """Return derivatives of the time factors in prescribed angles at t, (1, k, n_parts)."""
         return self._table(t, 0)
 
     def _by_turn(self, t: Array) -> Array:
@@ -137,7 +137,7 @@ class JointFactors:
 @final
 @dataclass(frozen=True, eq=False)
 class JointPartials:
-    """Design partials of the entries of L and of coefficients, for each variable and joint."""
+    """Design partials of entries of L (U = L q) and of joint coefficients, by variable, joint."""
 
     structure: JointStructure
     factors: JointFactors
@@ -145,7 +145,7 @@ class JointPartials:
 
     @cached_property
     def arrays(self) -> tuple[Array, ...]:
-        """Arguments of `constraint_totals`: variable, number, first, part, entry, value."""
+        """Design partials as arrays for the kernel: variable, number, first, part, entry, value."""
         numbers, variable, first, changes = [], [0], [0], [(np.zeros(0, dtype=np.int64),) * 3]
         for i in range(self.n_b):
             for number, change in self._reached(i):
@@ -163,7 +163,7 @@ class JointPartials:
         return np.flatnonzero(np.diff(self.arrays[0])).tolist()
 
     def _reached(self, i: int) -> list[tuple[int, tuple[Array, Array, Array]]]:
-        """Return the joints that variable i changes: index, with parts, entries and values."""
+        """Return the joints that design variable i changes: index, parts, entries and values."""
         structure, reached = self.structure, []
         vectors = structure.vectors
         chosen = vectors.variable == i
@@ -269,7 +269,7 @@ class JointConstraints:
 
     @property
     def is_complex(self) -> bool:
-        """Whether coefficients carry a complex perturbation."""
+        """Whether the joint coefficients carry an imaginary perturbation."""
         return any(np.iscomplexobj(c) for c in self.structure.parts)
 
     def moved(self, i: int) -> JointConstraints:
@@ -302,7 +302,7 @@ class JointConstraints:
 
     @property
     def turns(self) -> bool:
-        """Whether a joint prescribes an angle."""
+        """Whether one of the joints prescribes an angle."""
         return self.factors.turns
 
     def by_turn(self, q: Array, t: Array) -> Array:
@@ -415,7 +415,7 @@ class JointConstraints:
         return total - (1 - share) * self._pulled(time, (moved, 0 * dq), lam)
 
     def _pulled(self, t: Array, motion: tuple[Array, ...], weights: Array) -> Array:
-        """Return d/db of the imaginary part of weights . Phi, or its rate, summed over times."""
+        """Return d/db of weights . Phi, or of its rate, summed over times, by an imaginary step."""
         if not self.active:
             return np.zeros(self.n_b)
         factors = self.factors.over(t, len(motion))

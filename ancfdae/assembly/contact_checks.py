@@ -42,7 +42,7 @@ _ROOM: Final = 2**20
 
 
 class Groups(NamedTuple):
-    """Bodies and nodes of beams: first coordinate, square roots of weights, and names."""
+    """Groups of coordinates, bodies or beam nodes: first coordinate, root of weights, names."""
 
     starts: Array
     root: Array
@@ -170,7 +170,7 @@ class _LoadContacts:
         return any(np.any(self._counts(slice(None), each.impulses)) for each in found)
 
     def _rows(self, group: int, t: Array, F: Array, begin: bool) -> None:
-        """Add the forces on a group to its contacts, and check the contacts that end."""
+        """Add the contact forces on a group to its contacts, and check contacts that end."""
         rows = np.stack([F[1:], F[1:] ** 2, np.diff(t) * (F[:-1] + F[1:]) / 2, F[1:] != 0])
         if begin and F[0]:
             self._open[:, group] = F[0], F[0] ** 2, 0.0, 1.0

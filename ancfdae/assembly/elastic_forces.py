@@ -47,7 +47,7 @@ class ElementPlaces:
 
     @staticmethod
     def of(numbering: Numbering, pattern: SparsityPattern) -> ElementPlaces:
-        """Return the indices for a pattern that holds the entries of every element."""
+        """Return the elements' indices for a pattern that contains their tangents' entries."""
         vectors, d = numbering.vectors, numbering.d
         n, width = len(vectors), vectors.shape[1] * d
         at = numbering.coordinates(vectors).reshape(n, width)
@@ -78,7 +78,7 @@ class ElasticForces:
 
     @cached_property
     def _law_b(self) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """Derivatives of the invariants in the variables, pairs in the order of `force_totals`."""
+        """Derivatives of element invariants in design variables, in the order of `force_totals`."""
         order = np.lexsort((self._pair_variable, self._pair_element))
         places = np.arange(len(self._places.vectors) + 1)
         first = np.searchsorted(self._pair_element[order], places)
@@ -179,14 +179,14 @@ class ElasticForces:
         return -(total + along)
 
     def _partials(self, q: Array, v: Array, mu: Array | None) -> Array:
-        """Return the design partials of -Q_s, (k, n_b, n_q), or their sum of products with mu."""
+        """Return the design partials of -Q_s, (k, n_b, n_q), or their products with mu, summed."""
         v_or_none = v if self.damped else None
         return force_partials(self._elements, q, v_or_none, mu, *self._law_b, self._n_b)
 
     def _partial_rates(
         self, q: Array, v: Array, rates: tuple[Array, Array], mu: Array | None
     ) -> Array:
-        """Return the derivatives of `_partials` at one time along rates of q and v."""
+        """Return the derivatives of `_partials` at one time, along rates of q and v."""
         moved = [(x + 1j * STEP * rate)[None] for x, rate in zip((q, v), rates, strict=True)]
         return np.asarray(self._partials(moved[0], moved[1], mu).imag / STEP)
 

@@ -51,7 +51,7 @@ class JointWork:
         return self._constraints.works(q, lam[:, self.rows], t)
 
     def partials(self, t: Array, q: Array, lam: Array) -> tuple[Array, Array, Array]:
-        """Return the partials in q, in the multipliers of `rows`, and in b; shape (k, n) each."""
+        """Return the power's partials in q, in multipliers of `rows`, and in b; (k, n) each."""
         return self._constraints.works_partials(q, lam[:, self.rows], t)
 
 
@@ -90,11 +90,11 @@ class LoadFunction:
     of: Callable[[LoadInput, Array, Array, Array], Array]
 
     def value(self, t: Array, q: Array, v: Array) -> Array:
-        """Return the function in k states, shape (k,)."""
+        """Return the load's power or energy in k states, shape (k,)."""
         return self._value(self.item, t, q, v)
 
     def partials(self, t: Array, q: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Return the partials with respect to q, v and b; shape (k, n) each."""
+        """Return partials of the load's power or energy in q, v and b; shape (k, n) each."""
         item, b = self.item, np.zeros((len(t), self.n_b))
         U, V, factors = item.vectors.of(q), item.vectors.of(v), item.factors(t, 0)
         shape = U.shape[1:]

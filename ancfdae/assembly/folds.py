@@ -133,7 +133,7 @@ class Folds:
     def _above(
         self, limit: float, measure: Callable[[_Alike, Array], Array], q: Array
     ) -> dict[str, float]:
-        """Return the values, by name, of the beams in which `measure` exceeds `limit`."""
+        """Return values by beam name, for the beams in which `measure` exceeds `limit`."""
         values, Z = np.zeros(len(self._names)), q.real.reshape(-1, self._d)
         for own, _, group in self._groups:
             values[own] = measure(group, Z)
@@ -187,7 +187,7 @@ class _Alike:
         self._bend_o = np.sqrt(self._bends(X))
 
     def _largest(self, x: Array) -> Array:
-        """Return the largest value in each beam, shape (n_beams,), of values of shape (n, k)."""
+        """Return the largest entry for each beam, (n_beams,), of element values, (n, k)."""
         return np.asarray(np.maximum.reduceat(x.max(axis=1), self._first))
 
     def folded(self, Z: Array) -> Array:
@@ -264,7 +264,7 @@ class _Alike:
         return np.asarray(4.0 * np.sum(a * a + a * b + b * b, axis=1, keepdims=True))
 
     def _tangents(self, X: Array) -> Array:
-        """Return r_x at the locations on the axis, shape (n, n_p, d)."""
+        """Return the tangents r_x of elements at locations on the axis, shape (n, n_p, d)."""
         n_s = X.shape[1] // 2
         parts = np.empty((len(X), 3, X.shape[2]))
         np.subtract(X[:, n_s], X[:, 0], out=parts[:, 0])
@@ -274,7 +274,7 @@ class _Alike:
 
     @staticmethod
     def _stretch(r_x: Array) -> Array:
-        """Return |r_x|^2, shape (n, n_p)."""
+        """Return |r_x|^2 of elements at locations on the axis, shape (n, n_p)."""
         return np.asarray(np.einsum("npd,npd->np", r_x, r_x))
 
     def _volumes(self, X: Array, r_x: Array) -> Array:

@@ -63,7 +63,7 @@ class MassBlocks:
         return self.derivative()
 
     def chosen(self, owner: int | None) -> Array:
-        """Return one for the blocks of an owner, or of the scene, else zero, shape (n,)."""
+        """Return a mask, one or zero, of the mass blocks of an owner or of the scene, (n,)."""
         return np.ones(len(self.m)) if owner is None else (self.owners == owner).astype(float)
 
 
@@ -85,8 +85,8 @@ class _Mass:
         return self.derivative()
 
 
-# : Cache: by index among the bodies of a scene, parameters of a rigid body or point mass, and its
-# mass.
+#: Cache: by index among the bodies of a scene, parameters of a rigid body or point mass, and its
+#: mass.
 KnownMasses: TypeAlias = dict[int, tuple[Any, Any]]
 
 
@@ -125,7 +125,7 @@ def other_masses(
 
 
 def of_states(numbering: Numbering) -> MassBlocks:
-    """Return the masses of the vectors of states, which belong to no owner and no variable."""
+    """Return the mass blocks of state vectors, which have no owner and no design variable."""
     masses, none = numbering.masses, np.zeros(0, dtype=np.int64)
     vectors = numbering.n_q // numbering.d - len(masses) + np.arange(len(masses))
     nobody = np.full(len(masses), -1)
@@ -134,7 +134,7 @@ def of_states(numbering: Numbering) -> MassBlocks:
 
 
 def _together(blocks: Sequence[tuple[Array, int, _Mass]]) -> MassBlocks:
-    """Return blocks of equal size, with their vectors and owners, as one `MassBlocks`."""
+    """Return mass blocks of equal size, with their vectors and owners, as one `MassBlocks`."""
     vectors, owners, masses = zip(*blocks, strict=True)
 
     def derivative() -> MassPartials:
@@ -215,14 +215,14 @@ class MassPlaces:
     def of(
         vectors: tuple[Array, ...], numbering: Numbering, pattern: SparsityPattern
     ) -> MassPlaces:
-        """Return the indices on a pattern that holds the entries of every block."""
+        """Return the blocks' indices for a pattern that contains their entries."""
         at = pattern.index(*coupled(map(numbering.coordinates, vectors)))
         directions = numbering.coordinates(numbering.frames[:, 1:])
         positions = np.concatenate([body.positions for body in numbering.bodies])
         return MassPlaces(vectors, at, directions, positions)
 
     def fits(self, vectors: tuple[Array, ...]) -> bool:
-        """Whether blocks on these vectors have the same indices."""
+        """Whether mass blocks on these vectors have the same indices."""
         same = map(np.array_equal, self.vectors, vectors)
         return len(vectors) == len(self.vectors) and all(same)
 
@@ -374,7 +374,7 @@ class Inertia:
         return result.swapaxes(0, 1).reshape(v.shape)
 
     def _pair_products(self, a: Array, x: Array) -> Iterator[tuple[MassBlocks, Array]]:
-        """Yield each block with x^T M_b a for its pairs, shape (k, n_pairs)."""
+        """Yield each group of mass blocks with x^T M_b a for its pairs, shape (k, n_pairs)."""
         A, X = (y.reshape(len(y), -1, self._d) for y in (a, x))
         for block in self._blocks:
             at, m_b = block.vectors[block.partials.block], block.partials.m_b

@@ -85,14 +85,14 @@ class _Trace:
         return made
 
     def _by(self, values: Array, inputs: Array) -> Array:
-        """Return operations of the partials by inputs, shape (len(values), len(inputs))."""
+        """Return operations for partials of `values` in `inputs`, (len(values), len(inputs))."""
         zero = self._operations.constant(0.0)
         each = (self._operations.partials(x) for x in values.tolist())
         rows = [[partials.get(x, zero) for x in inputs.tolist()] for partials in each]
         return np.array(rows, dtype=np.int64).reshape(len(values), len(inputs))
 
     def _numbers(self, joint: FormulaJoint) -> Array:
-        """Return the operations of the equations of a joint, shape (n_rows,)."""
+        """Return the recorded operations of the equations of a joint, shape (n_rows,)."""
         reference, (U, z) = self._item.reference, self._parts(self._traced(self._states[0]))
         n_p, where = len(self._item.p), f"equations of joint {joint.name!r}"
         parts = z[:n_p], z[n_p : n_p + self._n_u].reshape(reference.shape), z[n_p + self._n_u :]
@@ -144,7 +144,7 @@ class _Trace:
             )
 
     def _require_the_same(self, Phi: OperationList) -> None:
-        """Raise InvalidInputError if the equations differ for numbers and for symbols."""
+        """Raise InvalidInputError if recorded joint equations give other values than calls."""
         item, joint = self._item, self._joint
         p, reference, laws = item.p.real, item.reference.real, item.factors(np.zeros(1), 0).real
         with np.errstate(all="ignore"):

@@ -36,7 +36,7 @@ class HeldAngles:
         self._flat: dict[str, Array] = {}
 
     def add(self, angle: RightAngle) -> bool:
-        """Add a right angle; return whether it needs an equation."""
+        """Add a right angle of a section; return whether it needs an equation."""
         if angle.fraction is None or angle.beam in self._rigid or angle in self._named:
             return False
         beam = self._layout.beam(angle.beam)
@@ -78,7 +78,7 @@ class JointInput:
 
     @cached_property
     def kind(self) -> tuple[object, ...]:
-        """Key of the equations: equal for joints of one class with the same numbers."""
+        """Cache key of a joint's coefficients: equal for joints of one class with equal numbers."""
         joint, p, numbers = self.joint, self.p, self.reference
         which: tuple[object, ...] = (joint.name,)
         if joint.by_slopes:
@@ -88,7 +88,7 @@ class JointInput:
 
     @cached_property
     def parts(self) -> list[JointEquations]:
-        """Coefficients constant in time, then those multiplied by each factor of time."""
+        """Joint coefficients constant in time, then those multiplied by each factor of time."""
         joint, p, reference = self.joint, self.p, self.reference
         if self.kind in self.alike:
             other, parts = self.alike[self.kind]
@@ -158,7 +158,7 @@ class JointInput:
         return replace(self, p=p, reference=reference, alike={})
 
     def structure(self) -> JointEquations:
-        """Return coefficients that are zero only if they are zero for all parameters and times."""
+        """Return joint coefficients whose zeros are zero for all parameters and times."""
         # Generic parameters: a coefficient that is not zero by structure is nonzero here.
         p = self.p * (1 + 1j * STEP) + 1j * STEP * np.sqrt(1.0 + np.arange(len(self.p)))
         reference = self.reference + 1j * STEP * sum(self.reference_b.values())

@@ -1,4 +1,4 @@
-"""Sparsity of the coefficients of all joints, and their numbers as the kernels take them.
+"""Sparsity of the coefficients of all joint equations, and their nonzero numbers for kernels.
 
 The numbers are ordered joint by joint: entries of L, and coefficients c = (linear, products,
 offsets, inputs of formulas). Coefficients of driven joints are sums over parts times factors of
@@ -54,7 +54,7 @@ class Slot:
 
     @property
     def fits(self) -> bool:
-        """Whether all nonzero coefficients are among the indices `linear` and `products`."""
+        """Whether indices `linear` and `products` include all nonzero coefficients of a joint."""
         return len(self.item.parts) == 1 + self.parts.stop - self.parts.start and all(
             np.count_nonzero(c.linear) == np.count_nonzero(c.linear[self.linear])
             and np.count_nonzero(np.triu(c.bilinear)) == np.count_nonzero(c.bilinear[self.products])
@@ -143,7 +143,7 @@ class JointStructure:
         return replace(self, slots=slots, vectors=self.vectors.moved(i))
 
     def moving(self) -> tuple[Array, Array, Array, Array]:
-        """Return the moving coefficients: first index per joint, entries, parts and values."""
+        """Return joint coefficients times time factors: first index, entries, parts, values."""
         counts, moving = [0], [(np.zeros(0, dtype=np.int64),) * 2 + (np.zeros(0),)]
         for slot, c in zip(self.slots, self.parts, strict=True):
             part, at = np.nonzero(c[1:])
@@ -269,7 +269,7 @@ def _couplings(vectors: Vectors, i: Array, j: Array) -> tuple[Array, Array]:
 
 
 def _entries(first: Array, rows: Array) -> tuple[Array, Array]:
-    """Return, for all entries of some rows, the position of the row in `rows` and the entry."""
+    """Return, for all entries in some rows, the row's position in `rows`, and the entry."""
     sizes = first[rows + 1] - first[rows]
     number = np.arange(len(rows)).repeat(sizes)
     ahead = first[rows] - (sizes.cumsum() - sizes)

@@ -226,8 +226,8 @@ class Layout:
         """Return a name for each coordinate, n_q in all.
 
         ``rod[2].y`` is the position of node 2, counted from 0, ``rod[2].slope_x.y`` its slope along
-        the beam, at a kink the slope behind it, and ``rod[2].slope_x before.y`` the slope before
-        it; ``box.y`` is the reference point of a rigid body and ``box.axis_1.y`` its first
+        the beam. At a kink this is the slope behind it, ``rod[2].slope_x before.y`` the slope
+        before it. ``box.y`` is the reference point of a rigid body and ``box.axis_1.y`` its first
         direction. ``guide.travel.x`` is the coordinate `travel` of a joint. The rate of
         ``motor.current integral.x`` is the state `current` of a controller.
         """

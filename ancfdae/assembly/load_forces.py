@@ -240,7 +240,7 @@ class MovingLoad:
     def force_along(
         self, states: tuple[Array, Array], rates: tuple[Array, Array], t: Array, dt: float
     ) -> Array:
-        """Return the derivative of its Q along rates of q and v and the rate dt of time."""
+        """Return the derivative of the load's Q along rates of q and v and the rate dt of time."""
         factors, of_time = self.item.factors(t, 0), dt * self.item.factors(t, 1)
         dQ = load_forces_along(self.plan, factors, of_time, *states, *rates)
         if self.item.load.law is None:
@@ -297,7 +297,7 @@ class LoadForces:
         return tuple((load.plan, load.item.uses_velocity) for load in self._moving)
 
     def touching(self) -> list[MovingLoad]:
-        """Return the contact loads, which act during short contacts."""
+        """Return the contact loads of the scene."""
         return [load for load in self._moving if load.item.load.touches]
 
     def sharp(self) -> list[LoadInput]:
@@ -310,7 +310,7 @@ class LoadForces:
         return self._steady, np.array(rows).reshape(len(rows), self._n_q)
 
     def factors(self, t: Array) -> Array:
-        """Return the laws at times t, (k, n): of constant loads, then of moving loads.
+        """Return law values of loads at times t, (k, n): of constant loads, then of moving loads.
 
         The law of a load is followed by its signals.
         """
@@ -428,7 +428,7 @@ class LoadForces:
         return self._partial(lambda moved: np.sum(moved.force(q, v, t) * mu), ())
 
     def _partial(self, of: Callable[[LoadForces], Array], shape: tuple[int, ...]) -> Array:
-        """Return the design partial of a function `of` the loads with this shape, (*shape, n_b)."""
+        """Return the design partial, (*shape, n_b), of a function `of` the loads."""
         result = np.zeros((*shape, self._n_b))
         for i in self._active:
             result[..., i] = of(self._reaching(i)).imag / STEP

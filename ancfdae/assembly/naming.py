@@ -45,7 +45,7 @@ class PointVector:
     turned: bool = False
 
     def of(self, states: Array, d: int) -> Array:
-        """Return the vector, shape (..., d), in states of shape (..., n_q)."""
+        """Return the position or slope vector, (..., d), at coordinates q, (..., n_q)."""
         X = states.reshape(*states.shape[:-1], -1, d)[..., self.vectors, :]
         return np.einsum("a,...ad->...d", self.weights, X)
 
@@ -65,7 +65,7 @@ class SceneNaming(Naming):
 
     @cached_property
     def _known(self) -> dict[tuple[MaterialPoint, Quantity], PointVector]:
-        """Cache of the vectors of points."""
+        """Cache of the position and slope vectors of points."""
         return {}
 
     def vector(
@@ -119,7 +119,7 @@ class SceneNaming(Naming):
     def _weights(
         self, beam: BeamLayout, element: int, quantity: Quantity, place: tuple[Any, Any, Any]
     ) -> tuple[Array, Array]:
-        """Return the weights of a vector at (xi, y, z), and their derivatives by lengths."""
+        """Return weights of node vectors in a vector at (xi, y, z), and length derivatives."""
         w, p = beam.element.vector_weights(quantity, *place)
         at = beam.first_element + element
         l = self.lengths[at]
@@ -244,7 +244,7 @@ class SceneNaming(Naming):
         numbers: Array,
         numbers_b: Array,
     ) -> PointVector:
-        """Return r + x d_1 + y d_2 + z d_3, or one of these directions."""
+        """Return r + x d_1 + y d_2 + z d_3 of a rigid body, or one of its directions d_i."""
         if point.fraction is not None:
             raise InvalidInputError(
                 f"point of {point.beam!r}",
@@ -309,7 +309,7 @@ class Vectors:
 
     @staticmethod
     def of_points(vectors: Sequence[PointVector], d: int, n_q: int, n_b: int) -> Vectors:
-        """Return the map of a sequence of point vectors."""
+        """Return the map U = L q of a sequence of point vectors."""
         place = np.concatenate([np.zeros(0, dtype=np.int64), *(x.vectors for x in vectors)])
         weight = np.concatenate([np.zeros(0), *(x.weights for x in vectors)])
         weight_b = np.concatenate([np.zeros((0, n_b)), *(x.weights_b for x in vectors)])

@@ -86,7 +86,7 @@ class Numbering:
 
 
 def coupled(blocks: Iterable[Array]) -> tuple[Array, Array]:
-    """Return row and column indices of entries (x[i, a, c], x[i, b, c]) for x, (n, k, m)."""
+    """Return row and column indices of entries (x[i, a, c], x[i, b, c]) for blocks x, (n, k, m)."""
     rows, columns = [], []
     for x in blocks:
         shape = (len(x), x.shape[1], *x.shape[1:])

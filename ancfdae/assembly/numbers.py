@@ -103,7 +103,7 @@ def _first_rates(item: LoadInput) -> tuple[Array, Array, Array]:
 
 
 def _at_start(item: LoadInput) -> tuple[Array, Array, int]:
-    """Return U in the reference, V of the states alone, and the index of the first state."""
+    """Return U in the reference, V with rates of states only, and the first state's index."""
     U = item.reference.real
     first, V = len(U) - len(item.masses), np.zeros_like(U)
     V[first:, 0] = np.real(item.load.initial_states(item.p.real))
@@ -252,7 +252,7 @@ class Geometry:
         return Geometry(naming, reference, inputs, joints, loads)
 
     def reached_by(self, structure: Structure) -> Array:
-        """Return which design variables change the geometry, bool, (n_b,)."""
+        """Return which design variables change the reference geometry, bool, (n_b,)."""
         reached = structure.reaches_parts.copy()
         reached[self.reference.active] = True
         return reached
@@ -339,7 +339,7 @@ class Numbers:
 def _placed(
     structure: Structure, geometry: Geometry, b: Array
 ) -> tuple[JointConstraints, LoadForces, AssembledStart]:
-    """Return constraints, loads and start, which depend on the geometry."""
+    """Return constraints, loads and start, which depend on the reference geometry."""
     pattern, mapping, n_b = structure.pattern, structure.mapping, len(b)
     constraints = JointConstraints.on(pattern, geometry.joints, n_b)
     reached = geometry.reached_by(structure)

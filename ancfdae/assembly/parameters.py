@@ -89,7 +89,7 @@ class ParameterMap:
         return partial
 
     def pairs(self, which: ElementParameter) -> Array:
-        """Return the indices of the pairs of one element parameter."""
+        """Return the indices of pairs (element, variable) of one element parameter."""
         return np.flatnonzero(self.parameters == which)
 
     def driven(self) -> tuple[ElementParameter, ...]:

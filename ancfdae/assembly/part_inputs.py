@@ -130,7 +130,7 @@ class PartInputs:
         return U_o, U_ob
 
     def _together(self, joints: Sequence[Joint]) -> tuple[list[JointInput], Vectors]:
-        """Return the inputs of joints, and the vectors of all of these joints."""
+        """Return the inputs of joints, and their vectors joined in one `Vectors`."""
         parts = [self._part(joint) for joint in joints]
         vectors = self._vectors([vector for points, *_ in parts for vector in points])
         # Partials of all vectors of a large scene in all variables would not fit into memory.

@@ -197,7 +197,7 @@ def _impulses(
 
 
 def _boundary(item: LoadInput, steps: _Steps, which: Array, apart: Array, touch: Array) -> Array:
-    """Return the fractions of steps, (k,), at which a contact begins or ends, by bisection."""
+    """Return the fraction of each step, (k,), at which contact begins or ends, by bisection."""
     for _ in range(_HALVINGS):
         middle = (apart + touch) / 2
         U, _, signals = steps.at(middle, which)
@@ -209,7 +209,7 @@ def _boundary(item: LoadInput, steps: _Steps, which: Array, apart: Array, touch:
 def _blindly(
     load: MovingLoad, groups: Grouped, states: tuple[Array, Array, Array], F: Array
 ) -> Iterator[Passed]:
-    """Yield contacts in steps without force at their ends, found at some points of each."""
+    """Yield contacts within steps that have no contact force at their ends, found by sampling."""
     t, q, v = states
     h = np.diff(t)[:, None]
     free, impulses = (F[:-1] == 0) & (F[1:] == 0), np.zeros_like(F[1:])

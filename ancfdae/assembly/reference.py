@@ -56,7 +56,7 @@ class Reference:
 
     @cached_property
     def Z(self) -> Array:
-        """Vectors of the declared start, before assembly, shape (n_vectors, d)."""
+        """Position and slope vectors of the declared start, before assembly, (n_vectors, d)."""
         parts = []
         for body in self._scene.members:
             X, start = self._vectors[body.name], self._scene.start_of.get(body.name)
@@ -161,7 +161,7 @@ class Reference:
         return vector.weights @ other[vector.vectors - first]
 
     def _placed(self, body: BeamBody | RigidBody) -> tuple[Array, Array]:
-        """Return the numbers of a body from its placement on, and their design derivatives."""
+        """Return a body's numbers from its placement on, and their design derivatives."""
         first = body.design_places[1] if isinstance(body, RigidBody) else 0
         numbers, numbers_b = self._mapping.numbers(body.name, self._b)
         return numbers[first:], numbers_b[first:]

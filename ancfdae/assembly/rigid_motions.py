@@ -61,7 +61,7 @@ class RigidMotions:
         return np.concatenate([shifts, turns], axis=2)
 
     def matrix(self, T: Array) -> scipy.sparse.csr_array:
-        """Return a tangent T as a sparse matrix, shape (n_q, n_bodies n_x)."""
+        """Return a tangent of the rigid motions as a sparse matrix, shape (n_q, n_bodies n_x)."""
         n, d, n_x = T.shape
         rows = np.broadcast_to(np.arange(n * d).reshape(n, d, 1), T.shape)
         columns = np.broadcast_to(self._owner[:, None, None] * n_x + np.arange(n_x), T.shape)
@@ -69,7 +69,7 @@ class RigidMotions:
         return scipy.sparse.csr_array((T.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
 
     def array(self, T: Array) -> Array:
-        """Return a tangent T as a dense array, shape (n_q, n_bodies n_x)."""
+        """Return a tangent of the rigid motions as a dense array, shape (n_q, n_bodies n_x)."""
         n, d, n_x = T.shape
         matrix = np.zeros((n, d, self._count, n_x), dtype=T.dtype)
         matrix[np.arange(n), :, self._owner] = T
@@ -123,7 +123,7 @@ class RigidMotions:
         return result
 
     def _split(self, Z: Array) -> tuple[Array, Array]:
-        """Return the vectors with positions relative to the middle of their body, and middles."""
+        """Return node vectors with positions relative to the middle of their body, and middles."""
         total = np.zeros((self._count, self._d), dtype=Z.dtype)
         np.add.at(total, self._owner, self._is_position[:, None] * Z)
         centres = total / self._per_body[:, None]
@@ -242,7 +242,7 @@ class _Body:
         return f"{self.name} deforms without stiffness"
 
     def words(self, motion: Array) -> str:
-        """Return a text on how the body moves for v/L and omega in one array."""
+        """Return a text on how the body moves, from v/L and omega in one array."""
         d = self.r.shape[1]
         v, spin = motion[:d] * self.length, motion[d:]
         turning = float(np.linalg.norm(spin))

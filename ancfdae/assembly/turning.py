@@ -46,12 +46,12 @@ class TurningForces:
         return self._inertia.times(self._c(q, v))
 
     def force_along(self, dq: Array, dv: Array) -> Array:
-        """Return M (c_q dq + c_v dv), shape (n_q,)."""
+        """Return the derivative M (c_q dq + c_v dv) of the frame's inertia force, shape (n_q,)."""
         return self._inertia.times(self._c_along(dq, dv))
 
     @cached_property
     def tangents(self) -> tuple[Array, Array]:
-        """Values of M c_q and M c_v on the pattern of the system."""
+        """Values of the frame's tangents M c_q and M c_v on the pattern of the system."""
         rate, J, _ = self._frame.turn(self._p, self._d)
         return self._product(rate**2 * J @ J), self._product(2 * rate * J)
 
@@ -64,18 +64,18 @@ class TurningForces:
     # -- design derivatives ------------------------------------------------------------------------
 
     def rows(self, q_rows: Array, v_rows: Array) -> Array:
-        """Return M c and its total design derivatives as rows, shape (1 + n_b, n_q)."""
+        """Return the frame's inertia force M c and its total design derivatives, (1 + n_b, n_q)."""
         c, along = self._c(q_rows[0], v_rows[0]), self._c_along(q_rows[1:], v_rows[1:])
         columns = self._inertia.times(np.concatenate([c[None], along]).T).T
         columns[1:] += self._held_b(c, lambda p: self._c(q_rows[0], v_rows[0], p)).T
         return columns
 
     def partials(self, q: Array, v: Array) -> Array:
-        """Return the design partials (M c)_b at k times, shape (k, n_q, n_b)."""
+        """Return design partials (M c)_b of the frame's inertia force, shape (k, n_q, n_b)."""
         return self._held_b(self._c(q, v), lambda p: self._c(q, v, p))
 
     def pull_back(self, q: Array, v: Array, mu: Array) -> Array:
-        """Return the sum over k times of mu^T (M c)_b, shape (n_b,)."""
+        """Return the sum over k times of mu^T (M c)_b of the frame's inertia force, (n_b,)."""
         on_b = self._inertia.pull_back(self._c(q, v), mu, gravity=False)
         momenta = self._inertia.times(mu.T).T
         for i, change in self._changes(lambda p: self._c(q, v, p)):
@@ -83,12 +83,12 @@ class TurningForces:
         return on_b
 
     def along_total(self, dq: Array, dv: Array, dq_b: Array, dv_b: Array) -> Array:
-        """Return the total design derivative of `force_along`, shape (n_q, n_b)."""
+        """Return total design derivatives of M (c_q dq + c_v dv) of the frame, (n_q, n_b)."""
         total = self._held_b(self._c_along(dq, dv), lambda p: self._c_along(dq, dv, p))
         return total + self._inertia.times(self._c_along(dq_b.T, dv_b.T).T)
 
     def along_pull_back(self, dq: Array, dv: Array, mu: Array) -> Array:
-        """Return mu^T times the design partial of `force_along`, shape (n_b,)."""
+        """Return design partials of mu^T M (c_q dq + c_v dv) of the frame, shape (n_b,)."""
         on_b = self._inertia.pull_back(self._c_along(dq, dv)[None], mu[None], gravity=False)
         momenta = self._inertia.times(mu)
         for i, change in self._changes(lambda p: self._c_along(dq, dv, p)):
@@ -110,7 +110,7 @@ class TurningForces:
     # -- accelerations -----------------------------------------------------------------------------
 
     def _c(self, q: Array, v: Array, p: Array | None = None) -> Array:
-        """Return the additional acceleration c for a state or rows of states, shape of q."""
+        """Return the frame's acceleration c for a state or rows of states, shape of q."""
         _, _, through = self._frame.turn(self._p if p is None else p, self._d)
         return self._c_along(self._arms(q, through).reshape(q.shape), v, p)
 

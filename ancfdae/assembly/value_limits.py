@@ -7,8 +7,8 @@ from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 
-# Trial values on one side of zero, over the size of a variable. If a sign is required, all of them
-# are rejected; values rejected for another reason, such as two coinciding points, are isolated.
+# Trial values on one side of zero, over the size of a variable. If a sign is required, every value
+# is rejected; values rejected for another reason, such as two coinciding points, are isolated.
 _BEYOND = (1e-6, 0.37, 1.0, 2.9)
 # Limits of Poisson's ratio, outside which a material has no positive moduli.
 _POISSON = (-1.0, 0.5)

@@ -11,7 +11,7 @@ from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import SparsityPattern
 
-# : Rule, value and remedy of the error for a `with_values` that ignores its argument.
+#: Rule, value and remedy of the error for a `with_values` that ignores its argument.
 FORGOTTEN = (
     "must return the system at the values b that it is given",
     "one at others",

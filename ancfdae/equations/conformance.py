@@ -28,7 +28,7 @@ _AWAY = 0.1
 @final
 @dataclass(frozen=True)
 class Finding:
-    """The largest relative error of one member, and the tolerance for round-off and differences."""
+    """Largest relative error of one method or property of a system, and its tolerance."""
 
     name: str
     error: float
@@ -63,7 +63,7 @@ class SystemCheck:
         return tuple(finding for finding in self.findings if not finding.passed)
 
     def raise_if_wrong(self) -> None:
-        """Raise InvalidInputError that names the findings with errors above their tolerances."""
+        """Raise InvalidInputError that names the system's methods with errors above tolerance."""
         if self.wrong:
             names = "; ".join(f"{x.name} (error {x.error:.1e})" for x in self.wrong)
             raise InvalidInputError(
@@ -74,7 +74,7 @@ class SystemCheck:
             )
 
     def to_dataframe(self) -> Any:
-        """Return a table of pandas with a row for each finding: name, error, tolerance, passed."""
+        """Return a pandas table with a row for each finding: name, error, tolerance, passed."""
         rows = [(x.name, x.error, x.tolerance, x.passed) for x in self.findings]
         return pandas().DataFrame(rows, columns=["finding", "error", "tolerance", "passed"])
 
@@ -148,7 +148,7 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
 
 
 def _inside(system: MechanicalSystem) -> MechanicalSystem:
-    """Return the system at design values away from zero where they must not become negative."""
+    """Return the system at design values away from zero where these must not become negative."""
     b = system.b.copy()
     for i in np.flatnonzero(b == 0):
         less = system.b.copy()

@@ -46,7 +46,7 @@ class Sizes(NamedTuple):
 
 @final
 class Generic(MechanicalSystem):
-    """A system with the sizes and patterns of another, in which all members depend on all."""
+    """A system with the sizes and patterns of another, whose values depend on all arguments."""
 
     def __init__(self, system: MechanicalSystem, m: Motion, sizes: Sizes, b: Array) -> None:
         self._of, self._m, self._sizes, self.b = system, m, sizes, b
@@ -74,7 +74,7 @@ class Generic(MechanicalSystem):
         return values * (self._grown if self.traits.constant_mass else self._grown_at(q))
 
     def mass_along(self, q: Array, dq: Array) -> Array:
-        """Return the values of M_q dq = M s_q dq on the pattern, shape (nnz,)."""
+        """Return values of M_q dq = M s_q dq for M = diag(w) e^s on the pattern, shape (nnz,)."""
         return self.mass(q) * (self._q @ dq)
 
     def force(self, t: float, q: Array, v: Array) -> Array:
@@ -83,13 +83,13 @@ class Generic(MechanicalSystem):
         return self._sizes.force * self._grown_at(q, t) * np.exp(along_v)
 
     def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
-        """Return Q ds, the derivative of Q along (dt, dq, dv), shape (n_q,)."""
+        """Return F e^s ds, the derivative of Q = F e^s along (dt, dq, dv), shape (n_q,)."""
         dt, dq, dv = direction
         along_v = self._v @ dv if self.traits.velocity_forces else 0.0
         return self.force(t, q, v) * (self._q @ dq + along_v + self._t * dt)
 
     def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
-        """Return Q as a follower load, shape (n_q,), and the values of Q_q on the pattern."""
+        """Return Q = F e^s as a follower load, shape (n_q,), and values of Q_q on the pattern."""
         Q = self.force(t, q, self._m.v)
         return Q, self._product(self.pattern, Q)
 
@@ -135,20 +135,20 @@ _UNDETERMINED = frozenset(
 
 
 def members() -> dict[str, FunctionType]:
-    """Return the methods of `MechanicalSystem` that are determined by the values of a system."""
+    """Return the methods of `MechanicalSystem` that the basic values of a system determine."""
     methods = vars(MechanicalSystem).items()
     named = {name: f for name, f in methods if isfunction(f) and not name.startswith("_")}
     return {name: f for name, f in named.items() if name not in _UNDETERMINED}
 
 
 def is_written(name: str) -> bool:
-    """Whether every system must implement a member."""
+    """Whether every system must implement a method or property of `MechanicalSystem` itself."""
     abstract: frozenset[str] = MechanicalSystem.__abstractmethods__
     return name in abstract
 
 
 def is_value(name: str) -> bool:
-    """Whether a member is a value of the system, not a formula in other members."""
+    """Whether a method gives a value of the system, not a formula in other methods' values."""
     return is_written(name) or name in vars(Related)
 
 
@@ -169,7 +169,7 @@ class Derived:
         return getattr(self.system, name)
 
     def _total(self, value: Callable[..., Array], *states: tuple[Array, Array]) -> Array:
-        """Return the total design derivative of a value, (m, n_b), by real differences."""
+        """Return a value's total design derivative by real differences, shape (m, n_b)."""
         columns = []
         for i, size in enumerate(design_sizes(self.system)):
             unit = size * np.eye(self.system.n_b)[i]

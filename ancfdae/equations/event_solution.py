@@ -77,22 +77,22 @@ class EventSolution(PrintedTable):
 
     @property
     def t(self) -> Array:
-        """Times of all phases, shape (n_t,), s; each event appears twice."""
+        """Times of all phases between events, shape (n_t,), s; each event time appears twice."""
         return np.concatenate([phase.t for phase in self.phases])
 
     @property
     def q(self) -> Array:
-        """Coordinates of all phases, shape (n_t, n_q)."""
+        """Coordinates of all phases between events, shape (n_t, n_q)."""
         return np.concatenate([phase.q for phase in self.phases])
 
     @property
     def v(self) -> Array:
-        """Velocities of all phases, shape (n_t, n_q)."""
+        """Velocities of all phases between events, shape (n_t, n_q)."""
         return np.concatenate([phase.v for phase in self.phases])
 
     @property
     def a(self) -> Array:
-        """Accelerations of all phases, shape (n_t, n_q)."""
+        """Accelerations of all phases between events, shape (n_t, n_q)."""
         return np.concatenate([phase.a for phase in self.phases])
 
     def position(self, point: Any) -> Array:
@@ -120,7 +120,7 @@ class EventSolution(PrintedTable):
         return np.concatenate([x.q for x in parts]), np.concatenate([x.v for x in parts])
 
     def to_dataframe(self) -> Any:
-        """Return a table of pandas with a row for each event: its name, time and impulse."""
+        """Return a pandas table with a row for each event: its name, time and impulse."""
         rows = [(each.name, each.time, each.impulse) for each in self.events]
         return pandas().DataFrame(rows, columns=["event", "time", "impulse"])
 

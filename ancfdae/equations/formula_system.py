@@ -176,9 +176,10 @@ class FormulaSystem(ListedSystem):
         return np.diagonal(M).real.astype(float)
 
     def _require_the_same(self) -> None:
-        """Raise InvalidInputError for a formula whose list has other values or derivatives.
+        """Raise InvalidInputError if recorded operations differ from a formula's own values.
 
-        They are compared at the start and near it, because at the start itself Phi is round-off.
+        Values and derivatives are compared at the start and near it, because at the start itself
+        Phi is round-off.
         """
         (q, v), (times, Q, V) = self._declared_start(), self._samples()
         kind, of_M = type(self), self._formulas.patterns[0]
@@ -289,7 +290,7 @@ class FormulaSystem(ListedSystem):
         return shares, q + np.outer(shares, dq), v + np.outer(shares, dv)
 
     def _changes(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Return changes of q, v and b of their own magnitude, all entries different."""
+        """Return changes of q, v and b for differences: of their size, all entries different."""
         n, b = np.arange(1.0, self.n_q + 1), self.b.real
         db = np.where(b == 0, 1.0, b) * np.cos(0.5 + np.arange(self.n_b))
         return np.cos(n) * _size(q), np.sin(n) * _size(v), db
@@ -370,7 +371,7 @@ class FormulaSystem(ListedSystem):
                 )
 
     def _found(self) -> SystemProperties:
-        """Return the declared traits with the properties found from the formulas."""
+        """Return the traits of the system: those declared, and those found from the formulas."""
         traits, shown = self.traits, self._formulas.shown
         linear = traits.linear_constraints or shown.linear_constraints
         constant = traits.constant_constraints or (linear and shown.constant_constraints)
@@ -389,7 +390,7 @@ class FormulaSystem(ListedSystem):
 
     @staticmethod
     def _motion(motion: tuple[Array, ...], sign: str = "") -> dict[str, Any]:
-        """Return the parts of a motion by name: q, v, a, j."""
+        """Return the coordinates and time derivatives q, v, a, j of a motion by name."""
         return {f"{sign}{name}": x for name, x in zip(_RATES, motion, strict=False)}
 
     def index_1(self, derivatives: bool) -> tuple[OperationList, ...]:
@@ -398,12 +399,12 @@ class FormulaSystem(ListedSystem):
         return lists + self._formulas.differentiated if derivatives else lists
 
     def right_side(self) -> tuple[Operations, dict[str, Array], dict[str, Array]]:
-        """Return the operations, numbers of Q, M, Phi_q and Phi'' at a = 0, and of the inputs."""
+        """Return operations for accelerations, numbers of Q, M, Phi_q, Phi'', and of inputs."""
         return self._formulas.right_side()
 
     @cached_property
     def list_plan(self) -> ListPlan:
-        """Operation lists of the system for time stepping in a kernel."""
+        """Operation lists with which a kernel evaluates the equations of motion in a time step."""
         velocity = self.traits.velocity_forces
         B, K = (_csr(pattern) for pattern in (self.constraint_pattern, self.pattern))
         weights = self.weights, 1 / self.weights

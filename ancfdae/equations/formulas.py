@@ -110,7 +110,7 @@ def wrong_shape(where: str, shape: tuple[int, ...], got: tuple[int, ...]) -> Inv
 
 
 class _List(NamedTuple):
-    """Several values as one operation list: its inputs, and slices and shapes of the values."""
+    """Several values of a system as one operation list: inputs, and slices and shapes of values."""
 
     operations: OperationList
     inputs: tuple[str, ...]
@@ -184,7 +184,7 @@ class Formulas:
         return numbers
 
     def values(self, of: Value, *which: Any, rows: int | None = None, **at: Any) -> list[Array]:
-        """Return the values of `of` at one state, or at `rows` states given as rows in `at`."""
+        """Return the values of `of` at one state, or at `rows` states given as rows of `at`."""
         key = of.__name__, *which
         made = self._lists.get(key)
         if made is None:
@@ -208,7 +208,7 @@ class Formulas:
         return _List(self._operations.compiled(outputs, numbers), inputs, places, shapes)
 
     def _inputs(self, outputs: Array) -> tuple[str, ...]:
-        """Return the names of the inputs that some outputs depend on."""
+        """Return the names of the inputs that some output operations depend on."""
         found = {bisect_right(self._ends, x) for x in self._operations.inputs(outputs)}
         return tuple(self._names[i] for i in sorted(found))
 
@@ -240,11 +240,11 @@ class Formulas:
     # -- what is evaluated -----------------------------------------------------------------------
 
     def mass(self) -> tuple[Array, ...]:
-        """Return the operations of M on its pattern."""
+        """Return the operations for the values of the mass matrix M on its pattern."""
         return (self._on(0, self._M),)
 
     def force(self) -> tuple[Array, ...]:
-        """Return the operations of Q."""
+        """Return the operations for the force Q."""
         return (self._Q,)
 
     def roots(self) -> tuple[Array, ...]:
@@ -257,23 +257,23 @@ class Formulas:
         return tuple(self._operations.roots.values())
 
     def mass_along(self) -> tuple[Array, ...]:
-        """Return the operations of M_q dq."""
+        """Return the operations for the values of M_q dq on the pattern of M."""
         return (self._along(*self.mass(), q="dq"),)
 
     def force_along(self) -> tuple[Array, ...]:
-        """Return the operations of Q_t dt + Q_q dq + Q_v dv."""
+        """Return operations for the differential of the force, Q_t dt + Q_q dq + Q_v dv."""
         return (self._along(self._Q, t="dt", q="dq", v="dv"),)
 
     def force_total(self) -> tuple[Array, ...]:
-        """Return the operations of Q_q dq + Q_v dv + Q_b db."""
+        """Return operations for the differential of the force, Q_q dq + Q_v dv + Q_b db."""
         return (self._along(self._Q, q="dq", v="dv", b="db"),)
 
     def constraint(self, order: int) -> tuple[Array, ...]:
-        """Return the operations of Phi or of its time derivative of this order."""
+        """Return the operations for Phi, or for its time derivative of this order."""
         return (self._rate(order, "constraint", lambda: self._Phi),)
 
     def constraint_q(self, order: int) -> tuple[Array, ...]:
-        """Return the operations of Phi_q, or of its time derivative of an order, on its pattern."""
+        """Return the operations for Phi_q, or its time derivative of an order, on its pattern."""
         return (self._on(1, self._rate(order, "constraint_q", lambda: self._jacobian)),)
 
     def constraint_total(self, order: int) -> tuple[Array, ...]:
@@ -323,7 +323,7 @@ class Formulas:
 
     @cached_property
     def shown(self) -> SystemProperties:
-        """Properties that hold by the formulas for all b; "constant" means without t and b."""
+        """Traits that the formulas prove for all b; "constant" means independent of t and b."""
         still = self.scleronomic and not self.depends(Formulas.constraint, 0, on="b")
         return SystemProperties(
             constant_mass=not self.depends(Formulas.mass, on="q"),
@@ -351,7 +351,7 @@ class Formulas:
         return tuple(self._list(outputs, "t", "q", "v", "a", "lam", "b") for outputs in values)
 
     def _list(self, outputs: Sequence[Array], *inputs: str) -> OperationList:
-        """Return outputs compiled to a list that takes all numbers of the named inputs."""
+        """Return operations compiled to a list that takes all numbers of the named inputs."""
         numbers = np.concatenate([self._at[name] for name in inputs])
         flat = np.concatenate([x.ravel() for x in outputs])
         return self._operations.compiled(flat, numbers)
@@ -383,12 +383,12 @@ class Formulas:
     # -- derivatives -----------------------------------------------------------------------------
 
     def _along(self, values: Array, **direction: str) -> Array:
-        """Return the operations of the derivative of values along other inputs, by name."""
+        """Return the operations for the derivative of values along changes of inputs, by name."""
         pairs = {name: self._at[by] for name, by in direction.items()}
         return self._moved(values, pairs)[0]
 
     def _rate(self, order: int, name: str, value: Callable[[], Array]) -> Array:
-        """Return the operations of a time derivative of values along the motion."""
+        """Return the operations for the time derivative of values along the motion."""
         key = name, order
         if key not in self._made:
             if order == 0:
@@ -401,7 +401,7 @@ class Formulas:
         return self._made[key]
 
     def _by(self, values: Array, name: str) -> Array:
-        """Return the operations of the partials in each entry of an input, (*values.shape, n)."""
+        """Return the operations for partials in each entry of an input, (*values.shape, n)."""
         units = [{x: int(self._one[0])} for x in self._at[name].tolist()]
         columns = self._operations.along(values, *units)
         return np.stack(columns, axis=-1) if columns else np.zeros((*values.shape, 0), np.int64)

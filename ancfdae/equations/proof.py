@@ -91,7 +91,7 @@ class Probe:
         ]
 
     def many(self) -> list[Given]:
-        """Return arguments at several time points, of three orders, with and without velocities."""
+        """Return arguments at several times, for three orders of motion, with and without v."""
         states = [self.m.plus(0.1 * k, self.d) for k in range(_INSTANTS)]
         given = {name: np.array([x._asdict()[name] for x in states]) for name in Motion._fields}
         changes = [self.change() for _ in range(_INSTANTS)]
@@ -122,7 +122,7 @@ class Probe:
 
 
 def arguments(member: FunctionType, one: list[Given], many: list[Given]) -> list[list[Any]]:
-    """Return all distinct argument lists for a method, from values at one time or at many."""
+    """Return all distinct lists of arguments to check a method with, at one time or at many."""
     _, *parameters = signature(member).parameters.values()
     instants = any(p.name == "t" and p.annotation != "float" for p in parameters)
     rows: dict[tuple[Any, ...], list[Any]] = {}
@@ -150,7 +150,7 @@ _SMALL = 1e-3
 
 
 def shapes(add: Add, p: Probe) -> None:
-    """Check names, weights, and the shapes of M, Q, Phi and the start."""
+    """Check names and weights of a system, and the shapes of M, Q, Phi and the start."""
     s, m = p.system, p.m
     n_q, n_lam, n_b = s.n_q, s.n_lam, s.n_b
     for name, array, size in (
@@ -172,7 +172,7 @@ def shapes(add: Add, p: Probe) -> None:
 
 
 def refusals(add: Add, p: Probe) -> None:
-    """Find methods whose default is complex steps of values that reject complex numbers."""
+    """Find methods, complex-step derivatives by default, whose values reject complex numbers."""
     s, one, many = p.system, p.one(), p.many()
     moved = s.with_values(s.b + 1j * STEP)
     imaginary = [_imaginary(given) for given in one]
@@ -296,13 +296,13 @@ def declarations(add: Add, p: Probe) -> None:
 
 
 def relative(change: Array, size: Array) -> float:
-    """Return the largest change over the largest magnitude; zero if nothing changes."""
+    """Return the largest change over the largest magnitude of an array; zero without change."""
     most = float(np.max(np.abs(change), initial=0.0))
     return most / (float(np.max(np.abs(size), initial=0.0)) or most) if most else 0.0
 
 
 def gap(claimed: Any, expected: Any, guess: Any = 0.0) -> float:
-    """Return the largest relative difference of entries; infinite for wrong shape or type."""
+    """Return the largest relative error of `claimed` entries; infinite for wrong shape or type."""
     if claimed is None or expected is None:
         return 0.0 if claimed is expected else np.inf
     claimed = np.asarray(claimed)
@@ -315,7 +315,7 @@ def gap(claimed: Any, expected: Any, guess: Any = 0.0) -> float:
 
 
 def accepted(evaluate: Callable[[], Any]) -> Any:
-    """Return the value of `evaluate`; None if it rejects complex numbers."""
+    """Return the value of `evaluate`, or None if it rejects complex numbers."""
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("error", np.exceptions.ComplexWarning)
@@ -325,7 +325,7 @@ def accepted(evaluate: Callable[[], Any]) -> Any:
 
 
 def _results(member: Callable[..., Any], rows: list[list[Any]]) -> list[Any]:
-    """Return all arrays that a member returns for each row of arguments; None if it omits one."""
+    """Return the arrays that a method returns for each row of arguments; None if it omits one."""
     results: list[Any] = []
     for row in rows:
         value = member(*row)
@@ -340,7 +340,7 @@ def _largest_gap(claimed: list[Any], expected: list[Any], guess: list[Any]) -> f
 
 
 def _unasked(system: MechanicalSystem) -> set[Any]:
-    """Return the members that are not used, given what the system declares."""
+    """Return the methods that the integrators do not use, given the declared traits."""
     return {MechanicalSystem.mass_along} if system.traits.constant_mass else set()
 
 

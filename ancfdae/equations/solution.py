@@ -270,7 +270,7 @@ class Solution:
         return replace(full, **kept, outcome=outcome, sensitivities=sensitivities, control=control)
 
     def with_pass(self, factorisations: int, seconds: float) -> Solution:
-        """Return the solution with the cost of a further pass over it added to the statistics."""
+        """Return the solution with the cost of a further pass of the integrator in `statistics`."""
         statistics = replace(
             self.statistics,
             factorisations=self.statistics.factorisations + factorisations,

@@ -38,7 +38,7 @@ _SMALL = 10_000
 _STATES = ("t", "q", "v", "a", "lam")
 _DERIVATIVES = ("values", "q_b", "v_b", "a_b", "lam_b")
 T = TypeVar("T")
-# : Function that restores a `Naming` from the arrays and JSON data of `Naming.packed`.
+#: Function that restores a `Naming` from the arrays and JSON data of `Naming.packed`.
 Unpack: TypeAlias = Callable[[Mapping[str, Array], Mapping[str, Any]], Naming]
 # Exceptions raised on reading a file that is damaged or not an archive.
 _DAMAGED = (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError, AttributeError, MemoryError)

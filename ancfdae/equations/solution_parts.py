@@ -72,8 +72,9 @@ class Statistics:
     round_off_steps : int
         Steps of `HHT` whose Newton corrections stopped decreasing, by round-off, above the
         tolerance, or in which round-off of the elastic forces leaves less than seven digits.
-        continued : int Steps of `HHT` that Newton's method solved only through shorter steps, which
-        the counts above include.
+    continued : int
+        Steps of `HHT` that Newton's method solved only through shorter steps, which the counts
+        above include.
     wall_seconds : float
         Elapsed time of the run; s.
     """

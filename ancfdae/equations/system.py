@@ -50,7 +50,7 @@ from ancfdae.kernels import CalledPlan, ListPlan, OperationList, Plan
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import SparsityPattern
 
-# : (q, v, a, lam) at one time, or their derivatives.
+#: (q, v, a, lam) at one time, or their derivatives.
 States: TypeAlias = tuple[Array, Array, Array, Array]
 
 
@@ -166,22 +166,21 @@ class MechanicalSystem(ComplexSteps):
 
     n_lam: int
     traits: SystemProperties = SystemProperties()
-    # : Largest distance from the origin of positions, besides q, that forces refer to; zero if
-    # none.
+    #: Largest distance from the origin of positions, besides q, that forces refer to; zero if none.
     reach: float = 0.0
     #: Names of points and joints for the solution; None for a system without any.
     naming: Naming | None = None
-    # : Components of a vector: `vector_size` consecutive coordinates form one vector in space, and
-    # : tolerances of a step are relative to its norm. One if coordinates form no vectors.
+    #: Components of a vector: `vector_size` consecutive coordinates form one vector in space, and
+    #: tolerances of a step are relative to its norm. One if coordinates form no vectors.
     vector_size: int = 1
     #: Names of functions of a user that are called with complex numbers at each evaluation.
     called_functions: tuple[str, ...] = ()
-    # : Names of controllers with states; states are velocities of coordinates, which are not zero
-    # in : an equilibrium.
+    #: Names of controllers with states; states are velocities of coordinates, which are not zero in
+    #: an equilibrium.
     controllers: tuple[str, ...] = ()
-    # : Whether joints may close loops; in a tree of bodies Phi_q keeps its rank.
+    #: Whether joints may close loops; in a tree of bodies Phi_q keeps its rank.
     has_loops: bool = True
-    # : Whether Phi is known not to depend explicitly on time.
+    #: Whether Phi is known not to depend explicitly on time.
     scleronomic: bool = False
 
     @cached_property
@@ -277,7 +276,7 @@ class MechanicalSystem(ComplexSteps):
         return np.concatenate([self.force(t, q_rows[0], v_rows[0])[None], total.T])
 
     def require_derivatives_at(self, t: float, q: Array, v: Array) -> None:
-        """Raise InvalidInputError if functions that are called lack a derivative at a state.
+        """Raise InvalidInputError if the user's functions lack a derivative at a state.
 
         By default it raises nothing.
         """
@@ -501,12 +500,12 @@ class ListedSystem(MechanicalSystem):
 
     @abc.abstractmethod
     def index_1(self, derivatives: bool) -> tuple[OperationList, ...]:
-        """Return the lists of `kernels/index_1.h`, with or without lists of derivatives."""
+        """Return the operation lists of `kernels/index_1.h`, with or without derivatives."""
 
     @property
     @abc.abstractmethod
     def list_plan(self) -> ListPlan:
-        """Lists of operations of the system for time stepping in a kernel."""
+        """Operation lists with which a kernel evaluates the equations of motion in a time step."""
 
 
 def require_no_controllers(where: str, system: MechanicalSystem, repair: str) -> None:
@@ -522,7 +521,7 @@ class LaterSystem(MechanicalSystem):
     @property
     @abc.abstractmethod
     def later_plan(self) -> Plan | ListPlan | CalledPlan:
-        """Plan of the system with its time shifted; its functions if there is no other plan."""
+        """Plan of the system with its time shifted; a plan of its functions if it has no other."""
 
 
 def planned(system: MechanicalSystem) -> Plan | ListPlan | CalledPlan:
@@ -552,7 +551,7 @@ def called_plan(system: MechanicalSystem) -> CalledPlan:
 def residual(
     system: MechanicalSystem, t: float, q: Array, v: Array | None, a: Array, lam: Array
 ) -> Array:
-    """Return f = M a + Phi_q^T lam - Q, shape (n_q,); f + Q if v is None."""
+    """Return f = M a + Phi_q^T lam - Q, shape (n_q,); without the force Q if v is None."""
     value = system.mass_times(q, a) + reaction(system, t, q, lam)
     return value if v is None else value - system.force(t, q, v)
 
@@ -592,6 +591,6 @@ def constraint_q_along(
 def _instants(
     t: Array, q: Array, v: Array | None, a: Array, lam: Array
 ) -> Iterator[tuple[float, tuple[Array, Array | None, Array, Array]]]:
-    """Yield time and states (q, v, a, lam) for one time after the other."""
+    """Yield t and the state (q, v, a, lam) for one time after another."""
     for k, s in enumerate(t.tolist()):
         yield s, (q[k], None if v is None else v[k], a[k], lam[k])

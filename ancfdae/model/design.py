@@ -166,7 +166,7 @@ def require_numbers(where: str, value: object) -> None:
 
 
 def design_numbers(*names: str) -> tuple[tuple[str, Callable[[str, Any], None]], ...]:
-    """Return `design_fields` for these field names, each of which may hold any finite number."""
+    """Return a design field for each of these field names, with any finite number as its value."""
     return tuple((name, require_finite) for name in names)
 
 
@@ -200,9 +200,9 @@ class DesignVariable:
     name : str
     targets : sequence of str, or mapping
         Each ``"beam.parameter"`` or ``"beam.parameter[element]"``. All targets of a sequence hold
-            the value of the variable. A mapping gives each target a factor: the first target is its
-    factor times the variable, and every other one moves by its factor times the change of the
-    variable. So a length that moves two joints reads
+        the value of the variable. A mapping gives each target a factor: the first target is its
+        factor times the variable, and every further one moves by its factor times the change of the
+        variable. So a length that moves two joints reads
         ``{"rod.length": 1, "left.ground_x": -0.5, "right.ground_x": 0.5}``.
     bounds : (float, float), optional
         Admissible range for optimisation, in the unit of the first target.

@@ -48,7 +48,7 @@ class Elements:
 
     d: int
     of_beam: Mapping[str, BeamElement]
-    # : Number of elements of each beam, and the reference position of a point as declared, (d,); m.
+    #: Number of elements of each beam, and the reference position of a point as declared, (d,); m.
     counts: Mapping[str, int] = field(default_factory=dict)
     place_of: Callable[[MaterialPoint], Array] = lambda point: np.zeros(0)
 
@@ -113,7 +113,7 @@ class StateVector:
     number: int
 
 
-# : Vectors that joints and loads depend on: a point with a quantity, or one of the classes above.
+#: Vectors that joints and loads depend on: a point with a quantity, or one of the classes above.
 Vectors: TypeAlias = tuple[
     tuple[MaterialPoint, Quantity]
     | Normal
@@ -129,9 +129,9 @@ Vectors: TypeAlias = tuple[
 class Part(Designable, abc.ABC):
     """A named joint or load.
 
-    A part is a frozen dataclass. Fields of these names mean the same in every part: `point`, the
-    point that it acts on, or `beam`, the name of a beam that it acts on as a whole; `other`, a
-    point, or `ground`, a position, that it joins `point` to.
+    A part is a frozen dataclass. Fields of these names mean the same in every part. `point` is the
+    point that the part acts on, `beam` the name of a beam that it acts on as a whole. `other`, a
+    point, or `ground`, a position, is the second end.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ class Part(Designable, abc.ABC):
         Unique in a scene; by default ``kind(beam@fraction)``.
     """
 
-    # : "joint", "load" or "body", and the word for this class in default names, such as "pin".
+    #: "joint", "load" or "body", and the word for this class in default names, such as "pin".
     role: ClassVar[str]
     kind: ClassVar[str]
     #: Whether one of `other` and `ground` must be given, and whether it exists in space only.
@@ -147,12 +147,12 @@ class Part(Designable, abc.ABC):
     spatial: ClassVar[bool] = False
     #: The line that pictures draw from its first point to its second, or to its `ground`.
     stroke: ClassVar[Stroke | None] = None
-    # : Names of states of a load (`Controller`), or of coordinates that a joint adds, each with a :
-    # vector that is integrated with the mechanism; these vectors come last.
+    #: Names of states of a load (`Controller`), or of coordinates that a joint adds, each with a
+    #: vector that is integrated with the mechanism; these vectors come last.
     states: ClassVar[tuple[str, ...]] = ()
     #: Whether it has a guide or pulleys, which a motion may leave; `off_route` then finds where.
     routed: ClassVar[bool] = False
-    # : Remedy in the error message if `ground` is a point.
+    #: Remedy in the error message if `ground` is a point.
     no_second_point: ClassVar[str] = "Give a point as `other`, if there is one."
 
     name: str = field(default="", kw_only=True)
@@ -360,11 +360,11 @@ def _field_names(kind: type) -> tuple[str, ...]:
     return tuple(each.name for each in fields(kind))
 
 
-# : Function that returns the beam or rigid body of a name.
+#: Function that returns the beam or rigid body of a name.
 _Member: TypeAlias = Callable[[str], BeamBody | RigidBody]
 _Any = TypeVar("_Any", bound=Part)
 
-# : Design targets of the position on the ground.
+#: Design targets of the position on the ground.
 TARGETS = ("ground_x", "ground_y", "ground_z")
 
 

@@ -138,9 +138,9 @@ class SceneDesign(Designable):
         """Return the numbers of an owner that can be design targets, by parameter name.
 
         For a beam they are its placement and initial velocity, without parameters of elements; for
-        a rigid body also its parameters; for joints, loads and point masses their parameters and
-        the coordinates of their points, then the default position on the ground; for the owner
-        ``"scene"`` gravity.
+        a rigid body also its parameters. For joints, loads and point masses they are their
+        parameters and the coordinates of their points, then the default position on the ground; for
+        the owner ``"scene"`` gravity.
 
         Raises UnknownNameError.
         """
@@ -258,11 +258,11 @@ class SceneDesign(Designable):
 
     @cached_property
     def _moved(self) -> dict[DesignVariable, list[tuple[Target, float, float]]]:
-        """Cache: the targets of design variables, each with its factor and offset."""
+        """Cache of the targets of design variables, each with its factor and offset."""
         return {}
 
     def _changes(self, key: str | DesignVariable, value: float) -> list[_Change]:
-        """Return (name in error messages, target, value) of everything that a value changes."""
+        """Return (name in errors, target, value) for each target that a variable's value sets."""
         if isinstance(key, DesignVariable):
             where = f"design variable {key.name!r}"
             require_finite(where, value)
@@ -413,9 +413,9 @@ class SceneDesign(Designable):
             )
 
 
-# : Name in error messages, target and value of a change.
+#: Name in error messages, target and value of a change.
 _Change = tuple[str, Target, float]
-# : Parts of a scene that design variables drive.
+#: Parts of a scene that design variables drive.
 _Part: TypeAlias = BeamBody | RigidBody | Part
 
 

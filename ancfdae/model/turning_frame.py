@@ -22,8 +22,7 @@ class RotatingFrame(Designable):
 
     The whole scene is declared in the frame and rotates with it: ground, directions of forces,
     dampers to ground. Bodies at rest in it rotate steadily; centrifugal and gyroscopic forces are
-    added.
-    Gravity must act along the axis. Design targets ``scene.rate``, and ``scene.axis_x`` ...,
+    added. Gravity must act along the axis. Design targets ``scene.rate``, and ``scene.axis_x`` ...,
     ``scene.through_x`` ... where they are given.
 
     Parameters
@@ -33,7 +32,7 @@ class RotatingFrame(Designable):
     axis : sequence of float, optional
         Axis in space; z by default. Must be left out in the plane.
     through : sequence of float, optional
-                A point of the axis; the origin by default; m.
+        A point of the axis; the origin by default; m.
     """
 
     rate: float

@@ -1,4 +1,4 @@
-"""From a system and a configuration to its modes: the requested number, of all kinds."""
+"""Modes of a system about a configuration: the requested number, of all kinds."""
 
 from __future__ import annotations
 

@@ -184,7 +184,7 @@ def _completed(found: _Found, shift: float | None, count: int, asked: int) -> _F
 
 
 def _as_pairs(found: _Found, cut: float) -> tuple[Array, Array, Array] | None:
-    """Return values, shapes and changes after Ritz's method, for each side of a cut alone."""
+    """Return z, shapes and changes of z by Ritz's method, separate for z below and above a cut."""
     parts = []
     for side in (found.z < cut, found.z >= cut):
         if np.any(side):

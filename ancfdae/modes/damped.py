@@ -131,7 +131,10 @@ def all_found(small: Linearised, s: Array, n_zero: int, last: float) -> bool:
 
 
 def none_vibrates_beyond(small: Linearised, s: Array, n_zero: int) -> bool:
-    """Return whether s has all vibrating roots of a symmetric system: all others are real."""
+    """Return whether exponents s contain all vibrations of a symmetric system.
+
+    A count shows that all further exponents are real.
+    """
     if not small.symmetric:
         return False
     assert small.D is not None

@@ -44,9 +44,9 @@ def asymmetric(small: Linearised, rigid: Array) -> tuple[Array, Array, Array]:
 
 
 def damped(small: Linearised, rigid: Array, size: float) -> tuple[Array, Array]:
-    """Return all exponents s with Im s >= 0 but zeros of rigid motions, and their shapes.
+    """Return all exponents s with Im s >= 0, except zeros of rigid motions, and shapes.
 
-    Exponents of about `size` have most digits. Let sigma = size, or more where F(sigma) is not
+    Exponents near `size`, 1/s, have most digits. Let sigma = size, or more where F(sigma) is not
     positive definite, F = sigma^2 + sigma D_N + K_N and F + F^T = 2 L L^T. The matrix
 
         [ -A    -Q ]     Q = sigma^2 G^-1 L^-1 L^-T,     A = Q + sigma G^-1 L^-1 D_N L^-T
@@ -56,10 +56,10 @@ def damped(small: Linearised, rigid: Array, size: float) -> tuple[Array, Array]:
     are symmetric G = 1, and no block has a norm above 1, however stiff the bodies and however
     strong the damping. In x' = v, v' = -K x - D v round-off of D exceeds the low exponents s.
 
-    Rigid motions R, K_N R = 0, have s = 0. They are split off, and with them the drift T t, T the
-    part of R without damping: the matrix is taken on the complement of L^T R in positions and of
-    L^T T in velocities, from which shapes are taken. Shapes lack their part in T, which inverse
-    iteration adds. The columns of `rigid` are orthonormal in M.
+    Rigid motions R, K_N R = 0, have s = 0 and are left out, and so is the drift T t, with T the
+    undamped motions in R. The matrix is restricted to the complement of L^T R in positions and of
+    L^T T in velocities, from which shapes are taken. Shapes lack their component in T, which
+    inverse iteration adds. The columns of `rigid` are orthonormal in M.
     """
     assert small.D is not None
     N, K = _reduced(small, small.K)

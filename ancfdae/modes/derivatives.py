@@ -163,8 +163,8 @@ def _bilinear(product: Callable[[Array, Array], Array], y: Array, x: Array) -> A
 # -- derivatives of modes ----------------------------------------------------------------------
 
 
-# : z_b, shape (count, n_b), and X_b of each mode, shape (n_q, n_b); None where a mode coincides
-# with : another, so that its shape is not unique, and by adjoints.
+#: z_b, shape (count, n_b), and X_b of each mode, shape (n_q, n_b); None where a mode coincides with
+#: another, so that its shape is not unique, and by adjoints.
 Derivatives: TypeAlias = tuple[Array, tuple[Array | None, ...]]
 
 

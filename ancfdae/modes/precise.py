@@ -158,7 +158,7 @@ def _rigid_motions(precise: Precise, factors: Factorization) -> Array:
 
     `factors` are those of P = K + shift D, D = |diag K|. The block grows until it contains a motion
     stiffer than shift D: all softer motions, rigid or not, keep their size, and Ritz's method
-    separates them only where the block contains all of them.
+    separates them only in a block that contains every one.
 
     x - P^-1 K x leaves rigid motions unchanged, and multiplies others by the ratio of shift D to P.
     In the norm of D a rotation about the axis of a thin body counts as much as a translation.

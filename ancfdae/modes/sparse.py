@@ -108,14 +108,14 @@ def _inwards(small: Linearised, size: float) -> tuple[Advance, Factorization]:
 def _near(
     small: Linearised, shift: float, count: int, tolerance: float, known: Array | None = None
 ) -> tuple[Array, Array]:
-    """Return z of K - z M next to a shift, and shapes, other than those of known vectors."""
+    """Return eigenvalues z of K - z M near a shift, and shapes, without `known` modes."""
     factors = small.saddle.factor(small.K - shift * small.M, small.Phi_q)
     options = {"sigma": shift, "OPinv": _inverse(small, factors, known)}
     return _sorted(small, count, tolerance, factors, options)
 
 
 def _highest(small: Linearised, count: int, known: Array | None = None) -> tuple[Array, Array]:
-    """Return z of largest real part, and shapes, other than those of known vectors."""
+    """Return eigenvalues z of largest real part, and shapes, without `known` modes."""
     factors = small.mass_factors
     options = {"which": "LR", "Minv": _inverse(small, factors, known)}
     return _sorted(small, count, 0.0, factors, options)

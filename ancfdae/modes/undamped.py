@@ -49,7 +49,7 @@ def sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Arra
     change = np.full(len(z), np.inf)
     for _ in range(_SWEEPS):
         noise = float(np.max(small.round_off(small.K, X)))
-        # Below all of them, and as far from zero as they are: as far as round-off allows.
+        # A shift below all z, with the largest |z| as its magnitude, more if round-off requires it.
         shift = -max(1.5 * float(np.max(np.abs(z))), noise / EPS**0.5)
         try:
             factors = small.saddle.factor(small.K - shift * small.M, small.Phi_q)

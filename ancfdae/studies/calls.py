@@ -113,12 +113,14 @@ def simulate(
         In place of an integrator, with `observables`: integrator and setting are chosen so that the
         estimated errors of the observables are below it; the result is `ObservableEstimates`. The
         error of each observable, its norm over the times `at`, is relative to the norm of its
-        values. observables, at : sequences, optional Observables to which the tolerance applies,
-        ``[position(rod.at_end, 1)]``, and their times, ascending in [0, t_end], by default 65
-        equidistant ones; s. after : Solution or EventSolution, optional A run of this model by the
-        same integrator that ended before `t_end`, early or at Ctrl-C: it is continued, equal to one
-        run to round-off, under error control within the tolerance. A run with events needs the same
-        events and modes, and integrates its last phase again.
+        values.
+    observables, at : sequences, optional
+        Observables to which the tolerance applies, ``[position(rod.at_end, 1)]``, and their times,
+        ascending in [0, t_end], by default 65 equidistant ones; s.
+    after : Solution or EventSolution, optional
+        A run of this model by the same integrator that ended before `t_end`, early or at Ctrl-C: it
+        is continued, equal to one run to round-off, under error control within the tolerance. A run
+        with events needs the same events and modes, and integrates its last phase again.
     keep : int or sequence of float, optional
         Store only part of a run with prescribed steps. An int k stores the start, every k-th step
         and the end; a sequence of ascending times in [0, t_end], s, stores states interpolated as
@@ -186,7 +188,7 @@ def warn_of_strains(call: str, system: MechanicalSystem, q: Array, level: int = 
 
 
 def _thinned(run: Run, keep: Keep) -> Solution:
-    """Return the run with the states at the times `keep` only."""
+    """Return the run with its states at the time indices `keep` only."""
     if run.after is not None:
         rule = "a run that continues another must keep all its states"
         repair = "Leave out `keep`, or run again from t = 0 without `after`."
@@ -204,7 +206,7 @@ def _warned(system: MechanicalSystem, solution: Solution) -> Solution:
 
 
 def _is_off(solution: Solution, level: int) -> bool:
-    """Return whether the errors of a finished run exceed its motion; if so, warn."""
+    """Return whether the estimated errors of a finished run exceed its motion; if so, warn."""
     errors = solution.estimated_errors
     if not solution.outcome.success or errors is None or errors.motion <= 1:
         return False
@@ -403,7 +405,7 @@ def gradients(
 
 
 def _limited(method: GradientMethod | None, memory: str | float | None) -> GradientMethod | None:
-    """Return the adjoint within a limit of memory if there is one, else the method."""
+    """Return the adjoint method within a limit of memory, if given, otherwise the method."""
     if memory is None:
         return method
     if method is not None:
@@ -413,7 +415,7 @@ def _limited(method: GradientMethod | None, memory: str | float | None) -> Gradi
 
 
 def _require_alone(where: str, **others: object) -> None:
-    """Raise InvalidInputError if one of `others` is given, which `where` excludes."""
+    """Raise InvalidInputError if one of the arguments `others` is given together with `where`."""
     for name, given in others.items():
         if given is not None:
             repair = "A tolerance chooses its own runs." if where == "tolerance" else ""

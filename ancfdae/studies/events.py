@@ -25,11 +25,11 @@ from ancfdae.studies.parts import Keep, instants
 
 
 def simulated(run: EventRun, after: object = None, keep: Keep | None = None) -> EventSolution:
-    """Return the motion with its events, from `after` if given.
+    """Return the run with events, continued from `after` if given.
 
     The last phase of `after`, which no event ended, is integrated again, so that its steps equal
-    the steps of a run in one go. If `keep` is given, phases store their ends and the states that it
-    names.
+    the steps of an uninterrupted run. With `keep`, phases store their ends and the chosen states
+    only.
     """
     thin = None if keep is None else thinned(_kept(keep, run.t_end))
     if after is None:
@@ -47,7 +47,7 @@ def simulated(run: EventRun, after: object = None, keep: Keep | None = None) -> 
 
 
 def _kept(keep: Keep, t_end: float) -> int | Array:
-    """Return the number or the times of the states to keep; refuse others."""
+    """Return the number or times of the states to store; InvalidInputError for invalid ones."""
     if isinstance(keep, int):
         require_count("keep", keep, "keep=100 keeps one step of 100, and the ends of phases.")
         return keep
@@ -95,7 +95,7 @@ def differentiated(run: EventRun, method: object) -> EventSolution:
 
 
 def values(run: EventRun, objectives: Sequence[Objective]) -> tuple[EventSolution, Array]:
-    """Return a finished run with events and the values of objectives, shape (n,)."""
+    """Return a finished run with events, and the values of objectives, shape (n,)."""
     require_reductions(objectives)
     phased = run.phased()
     found = _reached(phased)

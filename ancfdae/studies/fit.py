@@ -247,7 +247,7 @@ class MeasuredFit(ResidualFunction, Generic[R]):
 
     @final
     def jacobian(self, b: Array) -> Array:
-        """Return the derivatives of the residuals, shape (count, n_b)."""
+        """Return the derivatives of the residuals in the design variables, shape (count, n_b)."""
         jacobian = self._designs.at(b).jacobian
         assert jacobian is not None  # always computed
         return jacobian.copy()
@@ -417,7 +417,7 @@ class RunResidualFunction(MeasuredFit["_Ran"]):
 def _along(
     observable: Observable, system: MechanicalSystem, solution: Solution
 ) -> tuple[Array, Array]:
-    """Return the values of an observable, (k,), and their total derivatives, (k, n_b)."""
+    """Return an observable along a run, (k,), and its total design derivatives, (k, n_b)."""
     states, sensitivities = states_of(solution), solution.sensitivities
     assert sensitivities is not None  # asked for
     p = observable.partials(system, states)
@@ -429,7 +429,7 @@ def _along(
 
 
 def _interpolation(states: States, times: Numbers) -> Array:
-    """Return the weights of the states at k time points in values at m times, shape (m, k)."""
+    """Return the weights of k states in values interpolated at m times, shape (m, k)."""
     W = np.zeros((len(times), len(states.t)))
     for row, time in zip(W, times, strict=True):
         around, share = states.grid.interpolation(time)
@@ -535,7 +535,7 @@ class FrequencyFit(MeasuredFit[Modes]):
     def computed(
         self, b: Array, derivatives: bool, result: Modes | None
     ) -> tuple[Array, Array, Modes]:
-        """Return residuals and Jacobian, with the modes from which they come."""
+        """Return residuals and Jacobian of frequencies, with the modes that they come from."""
         data, weights = np.asarray(self.misfit.data), np.asarray(self.misfit.weights)
         computed = result or self._modes(self.system.with_values(b), len(data))
         vibrations = _vibrations(computed)[: len(data)]

@@ -62,7 +62,7 @@ def _from_workers(
     executor: Executor,
     chunk: int,
 ) -> Generator[tuple[int, _Answer | Exception], None, None]:
-    """Yield keys with answers, or with the exception by which a worker was lost."""
+    """Yield task keys with answers, or with the exception by which a worker was lost."""
     parts = [list(tasks)[k : k + chunk] for k in range(0, len(tasks), chunk)]
     futures = {_sent(executor, function, [tasks[key] for key in part]): part for part in parts}
     try:
@@ -100,7 +100,7 @@ def _sent(
 def _arrived(
     future: Future[list[_Answer]], keys: Sequence[int]
 ) -> Iterator[tuple[int, _Answer | Exception]]:
-    """Yield keys and answers of tasks that were sent together."""
+    """Yield keys and answers of tasks that were sent to a worker together."""
     error = CancelledError() if future.cancelled() else future.exception()
     if error is None:
         yield from zip(keys, future.result(), strict=False)

@@ -101,7 +101,7 @@ class ModelVariant:
 
     @property
     def numbers(self) -> Array:
-        """Value and derivatives times their variables, of the finest run, shape (1 + n_b,)."""
+        """Value and scaled derivatives (times variables) of the finest run, shape (1 + n_b,)."""
         return self.runs[-1].numbers
 
     @property
@@ -231,14 +231,14 @@ class ModelComparison(PrintedTable):
         return min(enough, key=lambda each: (each.run.work, each.error))
 
     def choices(self, of: ErrorOf | None = None) -> list[ModelChoice]:
-        """Return all runs of all models with their errors; `of` as in `recommend`."""
+        """Return all runs of all models with their errors; argument `of` as in `recommend`."""
         if of is not None and str(of) not in KINDS:
             repair = "Choose one, or leave it out for both."
             raise InvalidInputError("of", f"must be one of {', '.join(KINDS)}", repr(of), repair)
         return [self.choice(rung, run, of) for rung in self.rungs for run in rung.runs]
 
     def without_influence(self, rung: ModelVariant) -> tuple[str, ...]:
-        """Return the variables on which the richest model's value depends, but not this rung's."""
+        """Return variables that affect the richest model's value but not this simpler model's."""
         lost = (rung.numbers[1:] == 0) & (self.richest.numbers[1:] != 0) if rung.runs else []
         return tuple(name for name, x in zip(self.names, lost, strict=bool(rung.runs)) if x)
 
@@ -262,7 +262,7 @@ class ModelComparison(PrintedTable):
         return f"mesh of the last: {bars}; orders {orders}"
 
     def choice(self, rung: ModelVariant, run: VariantRun, of: ErrorOf | None = None) -> ModelChoice:
-        """Return a run of a model with the parts of its error; `of` as in `recommend`."""
+        """Return one run of a model with the parts of its error; `of` as in `recommend`."""
         exact, numbers = self.richest.numbers, rung.numbers
         alike = [x for x in self.rungs if x.name == rung.name and x.runs]
         finest = max(alike, key=lambda x: x.level)
@@ -303,7 +303,7 @@ class ModelComparison(PrintedTable):
         ]
 
 
-# : Parts of an error, first the parts due to the model and its mesh.
+#: Parts of an error, first the parts due to the model and its mesh.
 _PARTS: Final = ("model", "mesh", "step", "reference")
 
 
@@ -366,7 +366,7 @@ class Question:
         )
 
     def settled_mesh(self, rungs: Sequence[ModelVariant], richest: ModelVariant) -> bool:
-        """Whether the last mesh of a model needs no refinement."""
+        """Whether the mesh error of a model is so small that no finer mesh is needed."""
         if len(rungs) < 2 or not (rungs[-1].runs and rungs[-2].runs):
             return False
         fine, coarse = rungs[-1].numbers, rungs[-2].numbers
@@ -480,7 +480,7 @@ def choose_model(
 def _richest(
     declared: Kind, levels: Sequence[int], question: Question, done: Callable[[], object]
 ) -> list[ModelVariant]:
-    """Return the declared scene on finer and finer meshes, until the mesh error is small."""
+    """Return runs of the declared scene on finer and finer meshes until the mesh error is small."""
     richest = list[ModelVariant]()
     for level in levels:
         richest.append(_rung(declared, level, question, None))
@@ -500,7 +500,7 @@ def _simpler(
     question: Question,
     done: Callable[[], object],
 ) -> list[ModelVariant]:
-    """Return simpler models, each on the meshes of the richest until it needs no finer one."""
+    """Return runs of simpler models, refined until no finer mesh is needed."""
     rungs = list[ModelVariant]()
     for kind in kinds:
         known = len(rungs)

@@ -113,7 +113,7 @@ def mass_properties(
 
 
 def _at_start(system: AncfSystem, observable: Observable) -> tuple[float, Array]:
-    """Return the value of an observable at t = 0 and its total design derivative, (n_b,)."""
+    """Return an observable at t = 0 and its total design derivative, shape (n_b,)."""
     observable.check(system)
     q, v = system.start()
     states = States(np.zeros(1), q[None], v[None], np.zeros((1, system.n_lam)))

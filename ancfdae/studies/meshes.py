@@ -53,7 +53,7 @@ def _fewer(count: int, level: int) -> int:
 
 
 def _variable(variable: DesignVariable, scene: Scene, level: int) -> DesignVariable:
-    """Return the variable with targets for the elements that replace its elements."""
+    """Return the design variable with targets for the elements that replace its elements."""
     factors = {
         new: variable.factor(text)
         for text in variable.targets

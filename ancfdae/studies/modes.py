@@ -99,8 +99,9 @@ def modes(
     damped : bool, optional
         Whether to include velocity forces; by default if there are any. False leaves out all of
         them, also the gyroscopic forces in a `RotatingFrame`: only centrifugal forces remain, and
-        the frequencies are not those of the rotor. highest : bool Whether to return the highest
-        modes instead of the lowest.
+        the frequencies are not those of the rotor.
+    highest : bool
+        Whether to return the highest modes instead of the lowest.
     method : DirectDifferentiation or Adjoint, optional
         How frequencies are differentiated: `DirectDifferentiation` (default) with the shapes,
         `Adjoint` by one transposed solve for each mode, independent of the number of design
@@ -135,7 +136,7 @@ def suggest_step(
         Steps in the shortest period to be resolved; the phase error of HHT-I3 is about
         (2 pi / per_period)^2 / 8 of a turn in each period, / 12 with ``hht_alpha=0``.
     follow : int, optional
-        Number of vibrations to be resolved, from the slowest; None for all of them. Waves through
+        Number of vibrations to be resolved, from the slowest; None for all. Waves through
         the sections of stiff beams are thousands of times faster than the motion of interest.
     at : LinearisationPoint, optional
         As in `modes`.
@@ -161,15 +162,15 @@ class DesignedConfiguration(abc.ABC):
 
     @abc.abstractmethod
     def configuration(self, differentiated: bool) -> LinearisationPoint:
-        """Return q and lam, if `differentiated` with their design derivatives."""
+        """Return a static configuration q and lam, if `differentiated` with design derivatives."""
 
     @abc.abstractmethod
     def pull_back(self, on_q: Array, on_lam: Array, on_b: Array) -> Array:
-        """Return q_b^T on_q + lam_b^T on_lam + on_b, shape (n_b,)."""
+        """Return q_b^T on_q + lam_b^T on_lam + on_b of a static configuration, shape (n_b,)."""
 
 
 def place(system: MechanicalSystem, at: At) -> DesignedConfiguration:
-    """Return the configuration declared by `at`; InvalidInputError for other objects."""
+    """Return the static configuration declared by `at`; InvalidInputError for other objects."""
     if at is None:
         return _Start(system)
     require_kind("at", at, (LinearisationPoint, Equilibrium), "Pass what `equilibrium` returned.")
@@ -287,7 +288,7 @@ _CIRCLES = 0.5
 @final
 @dataclass(frozen=True, repr=False)
 class Campbell(PrintedTable):
-    """Modes of a scene at several rates of its frame, each followed over all of them.
+    """Modes of a scene at several rates of its rotating frame, each mode followed over the rates.
 
     Attributes
     ----------
@@ -352,7 +353,7 @@ class Campbell(PrintedTable):
         return np.array(sorted(found))
 
     def _standing(self, k: int) -> Iterator[float]:
-        """Yield the rates between two neighbouring `rates` at which an exponent passes zero."""
+        """Yield rotation rates between neighbouring `rates` at which an exponent s crosses zero."""
         circles = np.all(np.abs(self.whirl[k : k + 2]) >= _CIRCLES, axis=0)
         s, s_b = self.exponents[k : k + 2], self.exponents_b[k : k + 2, :, 0]
         sense = np.sign(self.whirl[k : k + 2])
@@ -452,7 +453,7 @@ def campbell(
 @final
 @dataclass(frozen=True)
 class _Lines:
-    """Modes at one rate: exponents s, derivatives s_b, and sense of whirl."""
+    """Modes at one rate of a rotating frame: exponents s, derivatives s_b, and sense of whirl."""
 
     s: Array
     s_b: Array
@@ -496,7 +497,7 @@ class _Lines:
         return np.asarray(scipy.optimize.linear_sum_assignment(apart)[1])
 
     def _squares(self, step: float) -> Array:
-        """Return s^2 at a rate larger by `step`, to first order."""
+        """Return s^2 of the modes at a rotation rate larger by `step`, to first order."""
         slopes = 2 * self.s * self.s_b[:, 0]
         # The derivative is infinite where two exponents separate.
         return self.s**2 + step * np.where(np.isfinite(slopes), slopes, 0.0)

@@ -101,14 +101,14 @@ def record_observables(
 
 @final
 class _Seen:
-    """An observable along the parts of a run; one with memory is evaluated at all steps."""
+    """One observable along the parts of a run; one with memory is evaluated at all steps."""
 
     def __init__(self, observable: Observable, system: MechanicalSystem) -> None:
         self._observable, self._system = observable, system
         self._past: dict[object, float] = {}
 
     def values(self, part: Solution, some: Solution) -> Array:
-        """Return the values of the observable at the times `some.t` of a part of the run."""
+        """Return the observable at the times `some.t` of a part of the run, shape (n,)."""
         if not self._observable.remembers_any:
             there = len(some.t) > 0
             return self._observable.value(self._system, states_of(some)) if there else some.t

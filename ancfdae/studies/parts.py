@@ -56,7 +56,10 @@ class RunOfParts:
         self._length = max(1, steps) * self._run.degree
 
     def __iter__(self) -> Iterator[tuple[Solution, Solution]]:
-        """Integrate and yield each part with its states to store; the last one may have failed."""
+        """Integrate; yield each part of the run with its states to store.
+
+        The last may have failed.
+        """
         node, last = in_one_thread(self._run.start)(), len(self._run.t) - 1
         with progress_bar(self._progress, total=last, unit="step") as bar:
             for first in range(0, last, self._length):
@@ -77,7 +80,7 @@ class RunOfParts:
                     return
 
     def solution(self) -> Solution:
-        """Integrate, and return the stored states as one solution."""
+        """Integrate all parts of the run, and return the stored states as one solution."""
         kept, ends = list[Solution](), list[Solution]()
         for part, some in self:
             ends.append(replace(part, **_rows(part, slice(-1, None))))

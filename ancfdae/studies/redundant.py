@@ -1,19 +1,19 @@
 """Redundant joint equations, which other equations imply, left out of a scene on request.
 
-Rows of Phi_q, scaled by the weights of the coordinates and to unit length, are combined to zero by
-the columns of N, a basis of the null space of the transpose. Rows may be left out together where
-their part of N is a regular matrix. As many as N has columns are chosen one after the other by
-pivots: the length of a row of N after its part along the rows chosen before is taken off. Of the
-rows with similar pivots the last one is taken. Directions of hinges are left out before positions
-of points, and never rows of bodies that are rigid, of driven joints and of formulas.
+Rows of Phi_q are scaled by the weights of the coordinates and to unit length; the columns of N are
+a basis of the combinations of rows that vanish (null space of the transpose). As many rows can be
+left out as N has columns, those whose rows of N form a regular matrix. They are chosen one after
+another by pivots: the length of a row of N orthogonal to the rows chosen before; the last row with
+a similar pivot is chosen. Directions of hinges are left out before positions of points, and never
+rows of rigid bodies, of driven joints and of formulas.
 
-The rows that stay should be independent wherever the mechanism moves, but they are dependent where
-the determinant of that part of N changes its sign. It is followed along curves through the declared
-position, and rows are exchanged until it keeps its sign.
+The remaining rows should be independent wherever the mechanism moves; they are dependent where the
+determinant of the chosen rows of N changes its sign. The determinant is computed along curves
+through the declared position, and rows are exchanged until it keeps its sign.
 
 Rows may also depend on each other at one position only, a dead point, where two branches of the
-motion cross. Redundant equations hold along every motion that the others admit: this is looked at
-where the curves begin, a part `_STEP` of the size of the mechanism away.
+motion cross. Redundant equations hold along every motion that the remaining equations admit: this
+is checked at the beginning of the curves, at a distance `_STEP` times the size of the mechanism.
 """
 
 from __future__ import annotations
@@ -34,23 +34,25 @@ from ancfdae.model.joints.formula_joint import FormulaJoint
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 
-# Singular values of rows of unit length below which they are dependent; round-off leaves 1e-16
-# times the number of rows and the condition of the mechanism.
+# Singular value below which rows of unit length are dependent; round-off leaves 1e-16 times the
+# number of rows and the condition of the mechanism.
 _DEPENDENT = 1e-8
-# Pivots above this part of the largest one are similar. Rows whose pivots are below _POOR stay
-# while there are others.
+# Smallest pivot, over the largest one, that counts as similar. A kind of row is skipped if its
+# largest pivot is below _POOR.
 _SIMILAR, _POOR = 0.4, 1e-3
-# Pairs of curves in opposite directions; the length of their first and of other steps as parts of
-# the size of the mechanism; how many steps there are, and how many times the number of rows.
+# Number of pairs of curves in opposite directions; lengths of their first and of further steps over
+# the size of the mechanism; largest number of steps, and of steps times rows.
 _PAIRS, _STEP, _STRIDE, _STEPS, _ROWS = 2, 0.02, 0.1, 40, 4000
-# A step is halved, down to _SHORTEST, where the null space turns more: the cosine of its angle.
+# Smallest cosine of the rotation of the null space in a step; the step is halved below it, down to
+# _SHORTEST times the size of the mechanism.
 _NEAR, _SHORTEST = 0.7, 1e-3
-# Determinants keep their size if they are above this part of the largest one along the curves.
+# Smallest determinant, over the largest along the curves, that counts as regular.
 _LASTING = 0.1
-# Part of a step by which equations may be violated at its end: at a dead point about _STEP.
+# Largest violation of the equations at the end of a step over the step: at a dead point about
+# _STEP.
 _VIOLATED = 1e-8
-# Most iterations of Newton's method onto the equations, and the correction relative to the size of
-# the mechanism at which it ends.
+# Largest number of Newton iterations onto the equations, and the correction, over the size of the
+# mechanism, at which they end.
 _ITERATIONS, _CLOSED = 12, 1e-13
 
 
@@ -90,7 +92,7 @@ def drop_redundant(scene: Scene) -> Scene:
 
 
 class _Rows:
-    """Rows of Phi_q of an assembled scene, labels, kinds, and where they move.
+    """Rows of Phi_q of an assembled scene, with labels, kinds, and the rows of moving joints.
 
     `labels` are pairs (joint, equation). `kinds` are 0 for rows that are never left out, 1 for
     positions and 2 for all others. `moving` are the rows without driven joints.
@@ -111,7 +113,7 @@ class _Rows:
         return U[:, np.count_nonzero(s > _DEPENDENT) :]
 
     def null_spaces(self, N: Array, redundant: Array) -> list[Array]:
-        """Return N along the curves, each (n_lam, m), continued from step to step.
+        """Return the null space N at each step along all curves, (n_lam, m) each.
 
         Raises RedundantConstraintsError, with the joints of redundant rows, at a dead point.
         """
@@ -123,7 +125,7 @@ class _Rows:
         for _ in range(_PAIRS):
             along = rng.normal(size=len(self._q))
             along -= V[:rank].T @ (V[:rank] @ along)
-            # Nothing moves: what holds at the start holds.
+            # The mechanism cannot move: equations that hold at the start always hold.
             if np.linalg.norm(along) < _DEPENDENT * np.sqrt(len(along)):
                 break
             for way in (along, -along):
@@ -134,9 +136,10 @@ class _Rows:
         return list(spaces)
 
     def _curve(self, along: Array, rank: int, N: Array, redundant: Array) -> Iterator[Array]:
-        """Yield N of the moving rows after each step along a curve, while the equations hold.
+        """Yield the null space N of the moving rows after each step along a curve.
 
-        Raises RedundantConstraintsError if they do not hold after the first step.
+        The curve ends where the equations do not hold; in the first step RedundantConstraintsError
+        is raised.
         """
         q, step = self._q, _STEP * self._size
         while step > _SHORTEST * self._size:
@@ -162,7 +165,7 @@ class _Rows:
             step = min(2 * step, _STRIDE * self._size)
 
     def _scaled(self, q: Array, rows: Array) -> tuple[Array, Array]:
-        """Return rows over the roots of the weights, of unit length, and Phi scaled alike."""
+        """Return `rows` of Phi_q over root weights, of unit length, and Phi scaled alike."""
         system = self._system
         B = system.constraint_pattern.dense(system.constraint_q(0.0, q))[rows] / self._root
         length = np.linalg.norm(B, axis=1)
@@ -181,7 +184,7 @@ class _Rows:
             )
 
     def _require_everywhere(self, redundant: Array, holds: bool) -> None:
-        """Raise RedundantConstraintsError unless redundant rows hold beside the start, too."""
+        """Raise RedundantConstraintsError unless redundant rows `holds` near the start, too."""
         if not holds:
             raise RedundantConstraintsError(
                 self._joints(redundant),
@@ -192,12 +195,12 @@ class _Rows:
             )
 
     def _joints(self, rows: Array) -> str:
-        """Return the names of the joints that some rows belong to, in words."""
+        """Return a text with the names of the joints of some rows."""
         return f"joints {listed(map(repr, sorted({self.labels[row][0] for row in rows})))}"
 
 
 def _labelled(structure: JointStructure, d: int) -> Iterator[tuple[tuple[str, int], int, bool]]:
-    """Yield, for every row, its label, its kind and whether its joint is driven."""
+    """Yield, for each joint equation, joint and row, its kind, and whether the joint is driven."""
     for slot, layout in zip(structure.slots, structure.joints, strict=True):
         joint = slot.item.joint
         fixed = joint.driven or isinstance(joint, (Rigidity, FormulaJoint))
@@ -213,7 +216,7 @@ def _decomposed(B: Array) -> tuple[Array, Array, Array]:
 
 
 def _pivots(N: Array, kinds: Array) -> Array:
-    """Return the rows to leave out, (m,), from a null space, (n, m)."""
+    """Return the indices of rows to leave out, (m,), from a null space, (n, m)."""
     left, chosen = N.copy(), list[int]()
     for _ in range(N.shape[1]):
         pivots = np.linalg.norm(left, axis=1)
@@ -229,9 +232,9 @@ def _pivots(N: Array, kinds: Array) -> Array:
 
 
 def _exchanged(spaces: Array, redundant: Array, kinds: Array) -> Array:
-    """Return rows to leave out, (m,), whose determinants keep their sign, exchanged where needed.
+    """Return rows to leave out, (m,), exchanged until the determinant keeps its sign.
 
-    The first of the null spaces along curves, (k, n, m), is that at the start.
+    `spaces`, (k, n, m), are the null spaces at the start and along the curves.
     """
     for _ in redundant:
         M = spaces[:, redundant]
@@ -258,5 +261,5 @@ def _exchanged(spaces: Array, redundant: Array, kinds: Array) -> Array:
 
 
 def _lasting(sizes: Array) -> Array:
-    """Return the least of determinants (k, ...) over the largest, negative if signs change."""
+    """Return least over largest of k determinants, (k, ...); negative if their signs differ."""
     return np.min(sizes * np.sign(sizes[0]), axis=0) / np.max(np.abs(sizes), axis=0)

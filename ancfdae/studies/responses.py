@@ -114,7 +114,7 @@ class Evaluations(Generic[R]):
         self.rows: list[SweepRow] = []
 
     def at(self, x: Array, *, derivatives: bool = True) -> Evaluation:
-        """Return the result at x; without `derivatives` possibly its values only."""
+        """Return the result (run or modes) at x; without `derivatives` possibly values only."""
         x = require_array("design values", x, (len(self._names),))
         known = self._known.get(x.tobytes())
         if known is None or (derivatives and known.jacobian is None):
@@ -336,7 +336,7 @@ class Responses:
         return f"{lines}\n{self.history}" if self._designs.rows else lines
 
     def at(self, x: Array, *, derivatives: bool = True) -> Evaluation:
-        """Return the result at the design x; without `derivatives` possibly its values only."""
+        """Return the evaluation of a design x; without `derivatives` possibly values only."""
         return self._designs.at(x, derivatives=derivatives)
 
     def _computed(
@@ -387,7 +387,7 @@ class Response:
     sign: float = 1.0
 
     def __call__(self, x: Array) -> float:
-        """Return the value at x, without computing derivatives."""
+        """Return the value of the function at x, without computing derivatives."""
         evaluation = self.responses.at(x, derivatives=False)
         if evaluation.error is not None:
             return self._beyond(evaluation)[0]

@@ -142,9 +142,9 @@ def critical_load(
 class CriticalValue(Objective):
     """The value found by `critical_load`, as an objective together with objectives of a run.
 
-    Its model is in equilibrium and may differ from the model of the run, with other loads; design
-    variables of the same name are shared, and the run has all of them. `ComplexStep` uses the same
-    gradient.
+    Its model is in equilibrium and may differ from the model of the run, with other loads. Design
+    variables of the same name are shared; the run must have all variables of the model.
+    `ComplexStep` uses the same gradient.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ class CriticalValue(Objective):
 
     @property
     def index(self) -> int:
-        """Index of the parameter among the design variables of `system`."""
+        """Index of the load parameter among the design variables of `system`."""
         return self.system.design_names.index(self._name)
 
     def check(self, system: MechanicalSystem, t_end: float) -> None:
@@ -190,14 +190,14 @@ class CriticalValue(Objective):
     def value(
         self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
     ) -> float | complex:
-        """Return the critical value at the design values of the run."""
+        """Return the critical value of the load parameter at the design values of the run."""
         value, slopes = self._at(system)
         return value + 1j * float(slopes @ system.b.imag) if np.iscomplexobj(system.b) else value
 
     def partials(
         self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
     ) -> ObjectivePartials:
-        """Return the critical value and its gradient; the states of the run have no effect."""
+        """Return the critical value and its design gradient; states of the run have no effect."""
         value, slopes = self._at(system)
         return ObjectivePartials(value, None, None, None, slopes)
 

@@ -149,16 +149,20 @@ def sweep(
     designs : sequence of mappings, or array, shape (n, n_b)
         Values by target or `DesignVariable`, as `Scene.with_values` takes them, for a system by the
         names of its design variables; or a row of values per design, for the variables `design`.
-        what : callable Function of the model at the values of a design; `Evaluator` or a
-        user-defined function. design : sequence of str or DesignVariable, optional Variables of the
-        columns of `designs`; for a system by default all its design variables. executor :
-        concurrent.futures.Executor, optional Executor of the calls, for example
-        ``ProcessPoolExecutor(2)`` or ``client.get_executor()`` of Dask; by default they run in this
-        process, one after the other. Model and `what` must pickle. chunk : int Number of designs
-        sent to a worker together, more than one for short calls: sending costs 0.2 ms by processes,
-        4 ms by Dask. A chunk arrives, or is lost, as a whole. file : path, optional File to which
-        rows are appended as they arrive, one JSON object a line; rows that it already holds are not
-        computed again. Results must be numbers, texts, arrays, lists or mappings.
+    what : callable
+        Function of the model at the values of a design; `Evaluator` or a user-defined function.
+    design : sequence of str or DesignVariable, optional
+        Variables of the columns of `designs`; for a system by default all its design variables.
+    executor : concurrent.futures.Executor, optional
+        Executor of the calls, for example ``ProcessPoolExecutor(2)`` or ``client.get_executor()``
+        of Dask; by default they run in this process, one after the other. Model and `what` must
+        pickle.
+    chunk : int
+        Number of designs sent to a worker together, more than one for short calls: sending costs
+        0.2 ms by processes, 4 ms by Dask. A chunk arrives, or is lost, as a whole.
+    file : path, optional
+        File to which rows are appended as they arrive, one JSON object a line; rows that it already
+        holds are not computed again. Results must be numbers, texts, arrays, lists or mappings.
     progress : bool
         Whether to show a progress bar.
     """
@@ -201,7 +205,7 @@ def _collect(
     values: list[dict[str, float]],
     kept: SweepFile | None,
 ) -> bool:
-    """Store rows as they arrive, also in the file; return whether Ctrl-C interrupted."""
+    """Store a sweep's rows as they arrive, also in the file; return whether Ctrl-C interrupted."""
     with closing(arriving):
         try:
             for k, answer in arriving:
@@ -228,7 +232,7 @@ class _Study:
     number: uuid.UUID = field(default_factory=uuid.uuid4)
 
     def result(self, design: Design) -> Any:
-        """Return the function of the model at the values of a design."""
+        """Return the sweep's function of the model at the values of a design."""
         if isinstance(self.what, Evaluator) and self.what.modes is not None:
             return self.what.at(design)(_model_at(self.model, design))
         if isinstance(self.model, MechanicalSystem):
@@ -244,7 +248,7 @@ class _Study:
 
 @lru_cache(maxsize=4)
 def _assembled(study: _Study, keys: tuple[str | DesignVariable, ...]) -> MechanicalSystem | None:
-    """Return the scene assembled with a design's variables; None if that would affect runs."""
+    """Return the scene assembled with a design's variables, or None if that would affect runs."""
     what, scene = study.what, study.model
     if not (isinstance(what, Evaluator) and isinstance(scene, Scene)):
         return None
@@ -276,7 +280,7 @@ class _Task:
 
 
 def _row(task: _Task) -> SweepRow:
-    """Return the row of a design; an exception of any kind becomes its error."""
+    """Return the sweep's row for a design; an exception of any kind becomes its error."""
     try:
         return SweepRow(task.values, task.study.result(task.design))
     except Exception as error:  # noqa: BLE001  # `what` is the user's and may raise anything.
@@ -324,7 +328,7 @@ def _mappings(
 
 
 def _values(k: int, row: object, count: int) -> tuple[float, ...]:
-    """Return one row of values, checked for its length only."""
+    """Return one row of design values, checked for its length only."""
     rule, repair = f"must have {count} values", "Give rows throughout, or mappings throughout."
     values = require_sequence(f"designs[{k}]", row, rule, repair)
     if isinstance(row, Mapping) or len(values) != count:

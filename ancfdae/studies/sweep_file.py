@@ -350,7 +350,7 @@ class SweepFile:
 
 
 def _row(line: str) -> tuple[int, Any, Any, str]:
-    """Return number, values, result and error of a line; various exceptions if it is no row."""
+    """Return number, values, result and error of a sweep's line; raises if it is no row."""
     record = json.loads(line, object_hook=_decoded)
     k, error = record["row"], record.get("error", "")
     if not isinstance(k, int) or k < 0 or not isinstance(error, str):

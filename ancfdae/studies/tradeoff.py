@@ -102,7 +102,7 @@ def work_precision(
 def _others(
     models: Mapping[str, Scene], design: Sequence[str | DesignVariable] | None
 ) -> Iterator[tuple[str, MechanicalSystem]]:
-    """Yield other models by name, as systems with the design variables that they have."""
+    """Yield the comparison's other models by name, as systems with the variables that they have."""
     variables = as_design(() if design is None else design)
     for name, scene in models.items():
         require_kind(f"models, {name}", scene, (Scene,), "Pass a Scene.")
@@ -118,7 +118,7 @@ def _checked(
     time_limit: float | None,
     progress: bool,
 ) -> Sequence[Integrator]:
-    """Return the settings as a tuple; InvalidInputError for arguments that cannot be used."""
+    """Return the integrator settings as a tuple; InvalidInputError for unusable arguments."""
     require_flag("progress", progress)
     repair = "For example [HHT(step=0.01)]."
     settings = require_each("settings", settings, (Integrator,), repair)
@@ -160,7 +160,7 @@ def _suitable(system: MechanicalSystem, t_end: float) -> tuple[Integrator, str]:
 def _measured(
     tasks: Sequence[Task], executor: Executor | None, progress: bool
 ) -> list[Measurement]:
-    """Return the measurements of all tasks, the reference first; rows left out say so."""
+    """Return the measurements of all tasks, reference first; rows not computed say so."""
     measured: dict[int, Measurement] = {}
     parts = {"model": tasks[0].system, "objective": tasks[0].objective}
     arriving = answers(measure, dict(enumerate(tasks)), executor, parts, progress=progress)

@@ -69,9 +69,9 @@ class Task:
 class Results:
     """Value, gradient and errors of a finished run.
 
-    q and lam, (k, n), are the states at the common times; `drift`, (j, n_lam), holds the
-    constraints at the times t of the run, `energy`, (j,), the total energy there, J, empty for a
-    system that is not a scene, and `kinetic` the largest kinetic energy.
+    q and lam, (k, n), are the states at the common times. `drift`, (j, n_lam), holds the
+    constraints and `energy`, (j,), the total energy, J, at the times t of the run; `energy` is
+    empty for a system that is not a scene. `kinetic` is the largest kinetic energy, J.
     """
 
     value: float
@@ -87,7 +87,7 @@ class Results:
 @final
 @dataclass(frozen=True)
 class Measurement:
-    """Smallest processor time of the repeats, s, the outcome as text, and results if any.
+    """Measured integrator setting: least processor time, s, outcome as text, results if any.
 
     `verdict` is how a run ended that did not reach its end time.
     """
@@ -104,7 +104,7 @@ def common_times(t_end: float) -> Array:
 
 
 def measure(task: Task) -> Measurement:
-    """Return the measurement of one setting; without results if it failed."""
+    """Return cost and errors of one integrator setting; without results if its run failed."""
     clock, limit = stopwatch(), TimeLimit(task.time_limit)
     try:
         with limit:
@@ -223,7 +223,7 @@ class MeasuredSetting:
         return ", ".join(given) or "given"
 
     def error(self, of: ErrorKind) -> float:
-        """Return one of the four relative errors; infinite if the setting failed."""
+        """Return one of the four relative errors of the setting; infinite if the run failed."""
         if str(of) not in _KINDS:  # `str`, because an array would compare entry by entry.
             known = ", ".join(_KINDS)
             raise InvalidInputError("of", f"must be one of {known}", repr(of))
@@ -412,7 +412,7 @@ def _forces(system: MechanicalSystem, q: Array, lam: Array, t: Array) -> Array:
 
 
 def _drift(system: MechanicalSystem, q: Array, t: Array, given: Results) -> float:
-    """Return the largest |Phi_i| over the norm of its row of Phi_q and the norm of q."""
+    """Return the largest constraint error |Phi_i| over the norm of its row of Phi_q and of q."""
     if not system.n_lam:
         return 0.0
     inverse = 1 / system.weights[system.constraint_pattern.columns]

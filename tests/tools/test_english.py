@@ -74,16 +74,16 @@ EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
     "opens with what": 41,
-    "as far as": 5,
+    "as far as": 4,
     "is none": 43,
-    "that of, those of": 356,
-    "inversion": 2,
+    "that of, those of": 353,
+    "inversion": 1,
     "tells": 48,
-    "all of them": 38,
+    "all of them": 32,
     "the other": 21,
     "instants": 207,
     "array without a shape": 121,
-    "long sentence": 221,
+    "long sentence": 213,
 }
 
 Hit = tuple[Text, str]

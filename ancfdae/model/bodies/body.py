@@ -368,7 +368,7 @@ _Numbered = TypeVar("_Numbered", Section, Material)
 
 
 def _changed(parts: list[_Numbered], numbers: list[dict[str, float]]) -> tuple[_Numbered, ...]:
-    """Return sections or materials with changed numbers; equal elements share one object."""
+    """Return copies of sections or materials with changed numbers; equal elements share one."""
     made: dict[tuple[object, ...], _Numbered] = {}
     changed = []
     for part, its in zip(parts, numbers, strict=True):

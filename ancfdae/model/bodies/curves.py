@@ -146,7 +146,7 @@ def _default_height(tangent: Array) -> Array:
 
 
 def _across(where: str, axis: Sequence[float] | Array, tangent: Array) -> Array:
-    """Return the unit vector along the part of `axis` perpendicular to `tangent`, shape (3,)."""
+    """Return the unit vector of `axis` projected perpendicular to `tangent`, shape (3,)."""
     require_vector(f"{where}, height_axis", axis, (3,))
     given = np.asarray(axis, dtype=float)
     across = given - (given @ tangent) * tangent

@@ -132,7 +132,7 @@ class RigidBox(BodyShape):
     design_fields = tuple((name, require_positive) for name in ("length", "height", "width"))
 
     def moments(self, p: Array) -> tuple[Array, Array]:
-        """Return the volume and the means of x^2, y^2, z^2, shape (3,): a^2/12 for the side a."""
+        """Return volume, m^3, and means of x^2, y^2, z^2, (3,), m^2: a^2/12 for side length a."""
         return p[0] * p[1] * p[2], p * p / 12
 
 
@@ -147,7 +147,7 @@ class RigidCylinder(BodyShape):
     design_fields = tuple((name, require_positive) for name in ("radius", "length"))
 
     def moments(self, p: Array) -> tuple[Array, Array]:
-        """Return volume and means of x^2, y^2, z^2, (3,): r^2/4 across the axis, l^2/12 along."""
+        """Return volume, m^3, and means of x^2, y^2, z^2, (3,), m^2: r^2/4 across, l^2/12 along."""
         across = p[0] ** 2 / 4
         return np.pi * p[0] ** 2 * p[1], np.stack([across, across, p[1] ** 2 / 12])
 
@@ -162,7 +162,7 @@ class RigidSphere(BodyShape):
     design_fields = (("radius", require_positive),)
 
     def moments(self, p: Array) -> tuple[Array, Array]:
-        """Return the volume, m^3, and the means of x^2, y^2, z^2, shape (3,): each r^2/5."""
+        """Return volume, m^3, and means of x^2, y^2, z^2, (3,), m^2: each r^2/5."""
         return 4 / 3 * np.pi * p[0] ** 3, np.repeat(p**2 / 5, 3)
 
 

@@ -101,12 +101,15 @@ def curvature_forces(bending: Array, Y: Array) -> Array:
 
 
 def _rows(Y: Array) -> list[int]:
-    """Return the indices of the chord, r_x1 and r_x2 among the relative node vectors Y."""
+    """Return the indices of chord, r_x1 and r_x2 among a cable's relative node vectors Y."""
     return [0, 1, (Y.shape[-2] + 1) // 2]
 
 
 def _scaled(bending: Array, Y: Array) -> tuple[Array, Array]:
-    """Return 1/l, shape (n or 1,), zero in beams, and chord/l, r_x1, r_x2, shape (..., n, 3, d)."""
+    """Return 1/l, (n or 1,), 0 for beams, which do not bend as cables, and chord/l, r_x1, r_x2.
+
+    The vectors have the shape (..., n, 3, d).
+    """
     l = bending[:, 1]
     per_l = np.where(l == 0, 0.0, 1 / np.where(l == 0, 1.0, l))
     Z = Y[..., _rows(Y), :].astype(np.result_type(Y, l))
@@ -123,7 +126,7 @@ def _vectors(Z: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _energy(Z: Array) -> Array:
-    """Return the mean of (l kappa)^2/2 over each element, shape (..., n), of scaled vectors Z."""
+    """Return the mean of (l kappa)^2/2 over each element, (..., n), from scaled node vectors Z."""
     _, across, square, _ = _vectors(Z)
     return np.asarray(0.5 * np.sum(across * across / square, axis=-1) @ _RULE)
 
@@ -187,7 +190,7 @@ class _Line:
     def pulled_back(
         self, Y: Array, V: Array, on_strain: Array, on_curvature: Array
     ) -> tuple[Array, Array]:
-        """Return gradients of a function in Y and V from those in axial strain and curvature."""
+        """Return a function's gradients in Y and V from those in axial strain and curvature."""
         places, weights = _smoothing(self.xi)
         N = tangent_weights(places)
         on_points = (on_strain @ weights)[..., None]
@@ -270,7 +273,7 @@ class CableStressLaw(StressLaw):
         return np.asarray(stress.reshape(*stress.shape[:2], -1))
 
     def pulled_back(self, Y: Array, V: Array, weights: Array) -> tuple[Array, Array]:
-        """Return the sum of weights times gradients of half the squared stresses, in Y and V."""
+        """Return gradients in Y and V of the weighted sum of half the squared stresses."""
         Y, V = self._scaled(Y, V)
         total, by_strain, by_curvature = self._parts(Y, V)
         weights = weights.reshape(total.shape) * self._E**2 * total
@@ -381,12 +384,12 @@ class _CableIntegrals(ElementIntegrals):
         self.values = self._times(self._moduli)
 
     def partial(self, which: ElementParameter) -> tuple[Array, ...]:
-        """Return the derivatives of `values`; an element parameter changes the moduli only."""
+        """Return the derivatives of `values` in an element parameter, which changes only moduli."""
         moved, step = _moduli(self._batch.moved(which)), self._batch.step(which)
         return self._times(change(x, at, step) for x, at in zip(moved, self._moduli, strict=True))
 
     def _times(self, moduli: Iterable[Array]) -> tuple[Array, ...]:
-        """Return the unit integrals times one modulus per element."""
+        """Return the integrals for unit moduli times the modulus of each element."""
         pairs = zip(moduli, self._units, strict=True)
         return tuple(np.multiply.outer(modulus, unit) for modulus, unit in pairs)
 

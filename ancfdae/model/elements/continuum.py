@@ -124,7 +124,7 @@ def _invariants(element: BeamElement, batch: Batch, owners: Array, *, keep: bool
 
 
 def _scaled(integrals: ElementIntegrals, batch: Batch) -> tuple[list[Array], list[Array]]:
-    """Return the integrals times the powers of the length, and the powers of the length."""
+    """Return invariants from integrals at unit length, and the powers of the length in them."""
     lengths = (batch.lengths.reshape(-1, *[1] * power.ndim) for power in integrals.powers)
     sizes = [l**power for l, power in zip(lengths, integrals.powers, strict=True)]
     return [x * size for x, size in zip(integrals.values, sizes, strict=True)], sizes
@@ -171,13 +171,13 @@ def joined(pieces: Sequence[Invariants], order: Array | None = None) -> Invarian
 
 
 def relative_places(element: BeamElement, wider: BeamElement) -> Array:
-    """Return the indices of an element's relative node vectors among those of `wider`, (n_y,)."""
+    """Return the indices, (n_y,), of an element's relative node vectors among those of `wider`."""
     at, n_s = element.places_in(wider), element.n_s
     return np.concatenate([[0], at[1:n_s], at[n_s + 1 :] - 1])
 
 
 def widened(narrow: Invariants, element: BeamElement, wider: BeamElement) -> Invariants:
-    """Return invariants of the size of element `wider`, zero for vectors that `element` lacks."""
+    """Return invariants with the size of element `wider`, zero for vectors that `element` lacks."""
     n_y, at = wider.n_y, element.places_in(wider)
     packed = np.zeros((n_y, n_y), dtype=np.int64)
     packed[upper_triangle(n_y)] = np.arange(n_y * (n_y + 1) // 2)

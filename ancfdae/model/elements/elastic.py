@@ -43,7 +43,7 @@ def apply_invariant(A: Array, x: Array) -> Array:
 
 
 def energy(A: Array, g_o: Array, Y: Array, bending: Array | None = None) -> Array:
-    """Return the strain energy of each element, shape (..., n), J; arguments as above."""
+    """Return the strain energy of each element, (..., n), J, from invariants A and g_o."""
     dg = strain(g_o, Y, None, None)
     U = np.asarray(np.sum(dg * (0.5 * apply_invariant(A, dg)), axis=-1))
     return U if bending is None else U + cable.energy(bending, Y)

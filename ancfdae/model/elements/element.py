@@ -45,22 +45,22 @@ def slope_weights(xi: Array) -> tuple[Array, Array]:
 
 
 def end_weight_xi(xi: Array) -> Array:
-    """Return the derivative of `end_weight` with respect to xi."""
+    """Return the derivative in xi of `end_weight`, the weight of the chord in a position."""
     return 6.0 * xi * (1.0 - xi)
 
 
 def slope_weights_xi(xi: Array) -> tuple[Array, Array]:
-    """Return the derivatives of `slope_weights` with respect to xi."""
+    """Return the derivatives in xi of `slope_weights`, the weights of r_x in a position."""
     return (1.0 - xi) * (1.0 - 3.0 * xi), xi * (3.0 * xi - 2.0)
 
 
 def tangent_weights(xi: Array) -> Array:
-    """Return the weights of chord and axial slopes in dr/dx at unit length, shape (..., 3)."""
+    """Return weights of the chord and of r_x at both ends in r_x at xi, for l = 1, (..., 3)."""
     return np.stack([end_weight_xi(xi), *slope_weights_xi(xi)], axis=-1)
 
 
 def curvature_weights(xi: Array) -> tuple[Array, Array, Array]:
-    """Return the weights of chord and axial slopes in d2r/dx2 at unit length."""
+    """Return weights of the chord and of r_x at both ends in r_xx at xi, for l = 1."""
     return 6.0 - 12.0 * xi, 6.0 * xi - 4.0, 6.0 * xi - 2.0
 
 
@@ -302,7 +302,7 @@ class StressLaw(abc.ABC):
 
     @abc.abstractmethod
     def pulled_back(self, Y: Array, V: Array, weights: Array) -> tuple[Array, Array]:
-        """Return the sum of weights times half the gradients of squared stresses, in Y and in V."""
+        """Return gradients in Y and V of the weighted sum of half the squared stresses."""
 
 
 class BeamElement(abc.ABC):
@@ -407,7 +407,7 @@ class BeamElement(abc.ABC):
 
     @abc.abstractmethod
     def integrals(self, batch: Batch, owners: Array) -> ElementIntegrals:
-        """Integrate the invariants of a batch; `owners`, (n,), names elements in error messages."""
+        """Return the integrals of a batch of elements; `owners`, (n,), are names for errors."""
 
     @abc.abstractmethod
     def section_law(self, batch: Batch, place: SectionPlace) -> SectionLaw:

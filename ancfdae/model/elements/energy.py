@@ -99,9 +99,9 @@ class EnhancedContinuum(StrainEnergyFunction):
 
     Poisson's effect counts on the axis only, where sections can follow it, so that beams bend with
     E I and stretch with E A; shears take the section's shear factors, torsion its torsion constant.
-    Plane stress in the plane. Above nu = 0.49 sections contract by nu as ever, but what keeps them
-    to it is at most 1.11 times as stiff as at 0.49 instead of growing without bound: a beam needs
-    E, G and nu, and its volume no stiffness of its own.
+    In the plane it is plane stress. Above nu = 0.49 sections still contract by nu, but the
+    stiffness that enforces it is at most 1.11 times its value at 0.49, instead of growing without
+    bound: a beam needs E, G and nu, and no bulk stiffness.
 
     Parameters
     ----------

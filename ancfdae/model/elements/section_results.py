@@ -124,8 +124,8 @@ def _axes(slopes: Array) -> Array:
 
 
 _AXIS_PLACES, _ = gauss_rule(AXIS_POINTS)
-# : Strain that is added to stresses in quadrature, so that their norm has a derivative where they :
-# vanish: far above the round-off of strains, 1e-16 to 1e-14, and far below strains of interest.
+#: Strain that is added to stresses in quadrature, so that their norm has a derivative where they
+#: vanish: far above the round-off of strains, 1e-16 to 1e-14, and far below strains of interest.
 SMALL_STRAIN = 1e-9
 
 
@@ -153,7 +153,7 @@ class ContinuumStressLaw(StressLaw):
         return np.asarray(np.sqrt(squares + self._small[:, None] ** 2))
 
     def pulled_back(self, Y: Array, V: Array, weights: Array) -> tuple[Array, Array]:
-        """Return the sums of weights times Q S S_Y and Q S S_V, in the shapes of Y and V."""
+        """Return gradients in Y and V of the weighted sum of half the squared stresses."""
         QS = weights[..., None] * (self._stresses(Y, V) @ self._Q)
         flat = QS.swapaxes(0, 1).reshape(len(self._D), len(QS), -1)
         p = (flat @ self._D).swapaxes(0, 1)
@@ -197,7 +197,7 @@ def _spread_stresses(batch: Batch, xi: Array, places: tuple[Array, Array]) -> Ar
 
 
 def _stresses(batch: Batch, xi: Array, at: Fibres, twist: Array) -> Array:
-    """Return the matrices D of stresses at fibres; `twist` as in `Frames.strains`."""
+    """Return the matrices D from strains to stresses at fibres; `twist` as in `Frames.strains`."""
     volume, *rest = batch.stiffness
     owners, n_v = np.full(len(batch.parameters), "stress"), len(components(batch.d))
 

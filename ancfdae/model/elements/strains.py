@@ -136,7 +136,7 @@ def _shared(batch: Batch, factors: Array, radii: Array) -> Array:
 
 
 def fibres_partial(batch: Batch, which: ElementParameter) -> Fibres:
-    """Return the derivative of `fibres` with respect to an element parameter."""
+    """Return the derivative of `fibres`, the quadrature points, in an element parameter."""
     at, moved, step = fibres(batch), fibres(batch.moved(which)), batch.step(which)
     names = [each.name for each in fields(Fibres)]
     return Fibres(*(change(getattr(moved, name), getattr(at, name), step) for name in names))
@@ -203,13 +203,13 @@ class Region:
         return cross + cross.swapaxes(-1, -2) + self._integral(self.R, C, volume_b, self.R)
 
     def total(self, K: Array) -> Array:
-        """Return the sum of beta^T K beta along the axis, shape (n, n_g, n_g)."""
+        """Return the integral of beta^T K beta along the axis by quadrature, (n, n_g, n_g)."""
         right = self.rule[:, None, None] * (K @ self.beta)
         n_g = self.beta.shape[-1]
         return np.asarray(self.beta.reshape(-1, n_g).T @ right.reshape(len(K), -1, n_g))
 
     def true_strains(self, twist: Array | None) -> Array:
-        """Return `R` with material shears in place of energy shears; `twist`: `Frames.strains`."""
+        """Return the matrices `R` for engineering shear strains; `twist` as in `Frames.strains`."""
         return self._frames.strains(self._fibres, self._turns, 2, twist)
 
     def mass(self, rho: Array) -> Array:
@@ -257,7 +257,7 @@ def _product(rho: Array, dV: Array, s_1: Array, s_2: Array) -> Array:
 
 
 def section_stiffness(batch: Batch) -> tuple[Array, ...]:
-    """Return C of strains and turns in the volume, and, if the energy has it, on the axis."""
+    """Return section stiffnesses C of the volume, and of the axis if the energy needs them."""
     C = batch.stiffness
     if not batch.energy.assumed_strains:
         return C
@@ -266,7 +266,7 @@ def section_stiffness(batch: Batch) -> tuple[Array, ...]:
 
 
 def _with_diagonal(C: Array, more: Array) -> Array:
-    """Return C extended by rows and columns with the diagonal `more`, shape (n, n_more)."""
+    """Return the matrices C with rows and columns added whose diagonal is `more`, (n, n_more)."""
     n_v, size = C.shape[1], C.shape[1] + more.shape[1]
     whole = np.zeros((len(C), size, size), dtype=C.dtype)
     whole[:, :n_v, :n_v] = C
@@ -478,7 +478,7 @@ class Fibres:
     shear_centre: Array  # (n, 1, 2): y and z of the shear centre over l
 
     def any(self) -> bool:
-        """Whether any number of this derivative is nonzero."""
+        """Whether any number in these quadrature points (a parameter derivative) is nonzero."""
         parts = (self.offsets, self.volume, self.factors, self.shear_centre)
         return any(bool(np.any(part)) for part in parts)
 
@@ -600,7 +600,7 @@ class Frames:
 
     @staticmethod
     def _ones(offsets: Array, m: int) -> Array:
-        """Return the rows 1, y(, z) of the fibres, shape (n, 1, n_f, d)."""
+        """Return 1, y and z of the fibres of sections as rows, shape (n, 1, n_f, d)."""
         return np.concatenate([np.ones_like(offsets[..., :1]), offsets[..., :m]], axis=-1)[:, None]
 
 

@@ -37,7 +37,7 @@ from ancfdae.model.parts import Sign
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.vector_formulas import cross
 
-# : Unit axis, the section of `other` or ground that carries it, and the position on the ground.
+#: Unit axis, the section of `other` or ground that carries it, and the position on the ground.
 Around: TypeAlias = tuple[Array, Carrier, Array | None]
 
 
@@ -86,7 +86,7 @@ class AxisJoint(Joint):
         return unit(axis), carrier_of(other), ground
 
     def level(self, e: Array, ground: Array | None, reference: Array) -> Array | float:
-        """Return the right side of e . (r - r') = level: zero for `other`, else e . ground."""
+        """Return the offset in e . (r - r') = offset: zero if there is `other`, else e . ground."""
         place = reference[0] if ground is None else ground
         return 0.0 if self.other is not None else np.sum(e * place)
 

@@ -130,7 +130,7 @@ class SectionFrame(Carrier):
         return flat_angle(self.point) if len(self.normal) == 3 else ()
 
     def square(self) -> tuple[RightAngle, ...]:
-        """Return all right angles, kept by joints that carry directions out of the section."""
+        """Return all right angles of a section, kept by joints with directions out of it."""
         shear = [Quantity.SLOPE_Y, Quantity.SLOPE_Z][: len(self.normal) - 1]
         return (*self.flat(), *(_angle(self.point, Quantity.SLOPE_X, other) for other in shear))
 
@@ -193,7 +193,7 @@ def axis_torque(section: SectionFrame, axis: Array) -> tuple[RightAngle, ...]:
 
 
 def axis_shapes(section: SectionFrame, carrier: Carrier, axis: Array) -> tuple[RightAngle, ...]:
-    """Return the right angles that `hold_axis` requires."""
+    """Return the right angles of sections that a joint of type `hold_axis` keeps."""
     return section.flat() + square(carrier, unless_it_holds=axis)
 
 
@@ -266,9 +266,9 @@ def fix_turn(c: JointEquations, row: int, slopes: Array, first: int) -> None:
 
 
 def spanned(slopes: Array) -> tuple[Array, Array, Array]:
-    """Return the normal of a section, its axes, and the weights of its slopes in each axis.
+    """Return the normal of a section, its axes, and the slopes' weights for each axis.
 
-    `slopes` span the section; directions have three components, in the plane too.
+    The rows of `slopes` span the section; directions have three components, in the plane too.
     """
     first = unit(in_space(slopes[0]))
     if slopes.shape[1] == 2:

@@ -27,7 +27,7 @@ from ancfdae.model.laws.law import Law, require_law
 from ancfdae.model.parts import Elements, Normal, Part, Sign, Vectors
 from ancfdae.numerics.arrays import Array
 
-# : `Joint.takes_part` of joints that depend on position and all slopes (d of them) of each point.
+#: `Joint.takes_part` of joints that depend on position and all slopes (d of them) of each point.
 SECTION = tuple(Quantity)
 
 
@@ -89,12 +89,12 @@ class Joint(Part):
     """A joint between points of beams or to ground; fields and names as in `Part`."""
 
     role = "joint"
-    # : Vectors of each point that the equations depend on: its position, or `SECTION`.
+    #: Vectors of each point that the equations depend on: its position, or `SECTION`.
     takes_part: ClassVar[tuple[Quantity, ...]] = (Quantity.POSITION,)
     #: Whether the first d equations equate positions: their multipliers are then minus the reaction
     #: force on the first point.
     holds_position: ClassVar[bool] = False
-    # : Symbol in pictures, and whether ground is drawn below it if the joint has no other point.
+    #: Symbol in pictures, and whether ground is drawn below it if the joint has no other point.
     sign: ClassVar[Sign] = Sign("joint", "*")
     shows_ground: ClassVar[bool] = True
     #: The field that holds the axis, or the direction in which the joint moves.
@@ -162,7 +162,7 @@ class Joint(Part):
         return c
 
     def moving(self, p: Array, reference: Array) -> tuple[JointEquations, ...]:
-        """Return the coefficients multiplied by each of the `factors` of time; none by default."""
+        """Return the coefficients multiplied by each law factor of time; none by default."""
         return ()
 
     def factors(self, p: Array, t: Array, order: int) -> Array:
@@ -202,11 +202,11 @@ class DrivenJoint(Joint):
 
     @abc.abstractmethod
     def moving(self, p: Array, reference: Array) -> tuple[JointEquations, ...]:
-        """Return the coefficients multiplied by each of the factors of time."""
+        """Return the coefficients that each law factor of time multiplies."""
 
     @abc.abstractmethod
     def factors(self, p: Array, t: Array, order: int) -> Array:
-        """Return the factors of `moving` at times t, or a time derivative, (n_factors, k)."""
+        """Return the time factors of `moving` at times t, or a time derivative, (n_factors, k)."""
 
     @abc.abstractmethod
     def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
@@ -236,7 +236,7 @@ class Travelling(DrivenJoint):
 def empty_equations(
     rows: int, p: Array, reference: Array, shapes: Sequence[RightAngle] = ()
 ) -> JointEquations:
-    """Return zero coefficients for `rows` equations and one more for each of `shapes`."""
+    """Return equations with zero coefficients: `rows` of them, and one for each right angle."""
     (n, d), dtype, rows = reference.shape, np.result_type(p, reference), rows + len(shapes)
     linear, bilinear = np.zeros((rows, n, d), dtype), np.zeros((rows, n, n), dtype)
     return JointEquations(linear, bilinear, np.zeros(rows, dtype), tuple(shapes))

@@ -85,9 +85,9 @@ class Weld(Joint):
     The points coincide, and the sections turn as one and keep flat right angles: 3 equations in the
     plane; in space 6, and one for each section that is not rigid and that no other joint holds. As
     behind a `Clamp` a section may contract, and its centre line may leave it obliquely. To ground
-    use `Clamp`. The first d multipliers are minus the force on the point; the next are minus the
-    moments on its section, to the order of its strain: in the plane one, in space three, about the
-    axes that were z, x and y of space in the reference.
+    use `Clamp`. The first d multipliers are minus the force on the point. The next are minus the
+    moments on its section, to the order of its strain: one in the plane, in space three, about the
+    axes that are z, x and y of space in the reference.
 
     Parameters
     ----------

@@ -129,7 +129,7 @@ class Harmonic(Law):
     design_fields = design_numbers("amplitude", "frequency", "phase", "offset")
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Return the time derivative of this order of offset + amplitude sine, shape of t."""
+        """Return the time derivative of this order of a harmonic law, shape of t."""
         amplitude, frequency, phase, offset = p
         wave = (np.sin if order % 2 == 0 else np.cos)(frequency * t + phase)
         sign = -1.0 if order >= 2 else 1.0
@@ -249,7 +249,7 @@ class RunUp(Law):
         return passage(begin, duration)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Return the time derivative of this order; its rate is a smooth step; shape of t."""
+        """Return the time derivative of this order of the run-up, shape of t."""
         rate, duration, initial, begin = p
         x: Array = rate * smooth_step(t, begin, duration, order - 1)
         return initial + x if order == 0 else x
@@ -303,7 +303,7 @@ class Transition(Law):
         return *super().breakpoints(p), *passage(begin, duration)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Return the time derivative of this order by Leibniz' rule, in the shape of t."""
+        """Return the time derivative of this order of the transition by Leibniz' rule, at t."""
         before, after, duration, begin = self.split(p)
         x = self.before.derivative(before, t, order)
         for k in range(order + 1):

@@ -63,7 +63,7 @@ class BSpline(Law):
         return float(self.begin), float(self.end)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Return the time derivative of this order: the sum of values times basis, shape of t."""
+        """Return the time derivative of this order of the B-spline, shape of t."""
         spans = len(p) + _LOCAL_DEGREE
         s = np.clip((np.asarray(t) - self.begin) * spans / (self.end - self.begin), 0.0, spans)
         # The first and last values are repeated, so that the law is constant beyond its ends.
@@ -75,7 +75,7 @@ class BSpline(Law):
 
     @cached_property
     def _hills(self) -> scipy.interpolate.BSpline:
-        """B-spline basis functions of all control values, as functions of t in spans."""
+        """B-spline basis functions, one per control value, over t in units of the knot distance."""
         count = len(self.values) + 2 * _LOCAL_DEGREE
         knots = np.arange(-_LOCAL_DEGREE, count + 1.0)
         return scipy.interpolate.BSpline(knots, np.eye(count), _LOCAL_DEGREE)
@@ -140,7 +140,7 @@ class Spline(Law):
         return () if self.period is not None else (float(self.times[0]), float(self.times[-1]))
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Return the time derivative of this order: the sum of values times basis, shape of t."""
+        """Return the time derivative of this order of the spline, shape of t."""
         s = (np.asarray(t) - self.times[0]) / self._unit
         last = self._basis.t[-_SPLINE_DEGREE - 1]
         # The basis of a periodic spline repeats by itself.

@@ -27,9 +27,8 @@ class DCMotor(Controller):
 
     u is the voltage and w the speed of the section at `point`, as a revolute joint turns it. The
     state ``current`` i obeys L i' = u - R i - k w. The torque is k i, and the opposite acts on
-    `other`.
-    Design targets: ``resistance``, ``inductance``, ``torque_constant``, ``initial_current``,
-    ``axis_x`` ..., and the parameters of the law.
+    `other`. Design targets: ``resistance``, ``inductance``, ``torque_constant``,
+    ``initial_current``, ``axis_x`` ..., and the parameters of the law.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ def longest(M: Array) -> Array:
     return np.asarray(np.sqrt((M * M).sum(axis=-1, keepdims=True).max(axis=0)))
 
 
-# : Design fields of the contact force, in the order of the argument `p` of `ContactLoad.pressed`.
+#: Design fields of the contact force, in the order of the argument `p` of `ContactLoad.pressed`.
 FORCE_FIELDS = (
     ("stiffness", require_positive),
     ("radius", require_not_negative),
@@ -157,7 +157,7 @@ class ObstacleContact(ContactLoad, abc.ABC):
         return tuple((self.other, quantity) for quantity in tuple(Quantity)[: d + 1])
 
     def _own(self, U_o: Array) -> int:
-        """Return the number of vectors of the first body; the vectors of the carrier follow."""
+        """Return the number of vectors of the first body; vectors of the obstacle's body follow."""
         return len(U_o) - (0 if self.other is None else U_o.shape[1] + 1)
 
     def _apart(self, U: Any, p: Array, U_o: Array) -> tuple[Any, Any]:
@@ -183,7 +183,7 @@ class ObstacleContact(ContactLoad, abc.ABC):
         return np.asarray(way + (np.sqrt(dot(arm, arm)) + way) * turn)
 
     def gates(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
-        """Return max(depth, 0): the force vanishes with it."""
+        """Return max(depth, 0), a factor with which the contact force vanishes."""
         return (positive(self._apart(U, p, U_o)[0]),)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:

@@ -36,7 +36,7 @@ def require_restitution(where: str, value: object) -> None:
 
 
 def _phi(x: float) -> tuple[float, float]:
-    """Return (x - ln(1 + x)) / x^2 and its derivative."""
+    """Return (x - ln(1 + x)) / x^2, which gives chi from the restitution, and its derivative."""
     if abs(x) < _SERIES:
         powers = (-x) ** _TERMS
         slope = -(_TERMS[1:] / (_TERMS[1:] + 2) * powers[:-1]).sum()
@@ -64,7 +64,7 @@ def damping_of(restitution: Any, speed: Any) -> Any:
 
 
 def normal_force(depth: Any, w_n: Any, stiffness: Any, exponent: float, chi: Any) -> Any:
-    """Return k d^n, times (1 - chi w_n) while positive, N; chi None means no damping."""
+    """Return the contact force k d^n (1 - chi w_n), not negative, N; chi None: undamped."""
     spring = stiffness * (depth if exponent == 1.0 else depth**exponent)
     return spring if chi is None else spring * positive(1.0 - chi * w_n)
 

@@ -94,7 +94,7 @@ class RotationAxis(ControlAxis):
             _require_components("RotationAxis, axis", self.axis, (3,))
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return the slopes that span the section of `point`, and that of `other`."""
+        """Return the slopes that span the sections of `point` and `other`."""
         points = (self.point,) if self.other is None else (self.point, self.other)
         return section_of(points, elements)
 
@@ -263,7 +263,7 @@ class Controller(Load):
 
     @final
     def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
-        """Return e s_U on the vectors of axes, and x' on component 0 of the vectors of states."""
+        """Return efforts times ds/dU as forces on the axes' vectors, and rates of the states."""
         still = 0.0 * V[..., :1, :1]
         at, gradients = self._input(U, V, signals, p, U_o)
         rates, efforts = (tuple(x) for x in self.equations(at, p))
@@ -276,7 +276,7 @@ class Controller(Load):
     def _require(
         self, method: str, given: Sequence[Any], wanted: Sequence[Any], what: str, each: str
     ) -> None:
-        """Raise InvalidInputError unless a method returns as many numbers as are wanted."""
+        """Raise InvalidInputError unless a controller's method returns as many numbers as due."""
         if len(given) != len(wanted):
             where = f"{method} of {self.kind} {self.name!r}"
             rule, repair = f"must return {len(wanted)} {what}", f"Return one for each {each}."

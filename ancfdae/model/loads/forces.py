@@ -181,7 +181,7 @@ class MotorTorque(SectionLoad):
     refers = True
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """Return T theta_U: the torque times the gradient of the angle in the slopes."""
+        """Return the forces T theta_U on the slopes U of a torque T about the angle theta; N m."""
         torque, axis, _ = self.split(p)
         return (torque * turn(U, U_o, unit_axes(axis))[1])[..., 0, :, :]
 

@@ -14,8 +14,8 @@ from ancfdae.model.loads.sections import rate_of, section_of, travel, turn, unit
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 
-# : Design fields of the friction curve, in the order of `friction`, and those that are zero without
-# it.
+#: Design fields of the friction curve, in the order of `friction`, and those that are zero without
+#: it.
 LEVELS = (
     *design_numbers("coulomb"),
     ("smooth_speed", require_positive),
@@ -87,7 +87,7 @@ class RotationalFriction(SectionLoad):
         require_together(f"load {self.name!r}", given)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """Return -R(theta') theta_U: the friction moment R times the gradient of the angle."""
+        """Return the forces -R(theta') theta_U on slopes of a friction moment R, U: slopes; N m."""
         *levels, axis, _ = self.split(p)
         theta_U = turn(U, U_o, unit_axes(axis))[1]
         speed = rate_of(theta_U, V[..., None, :, :])

@@ -63,15 +63,15 @@ class Load(Part):
     role = "load"
     #: Whether the force depends neither on positions nor on velocities.
     constant: ClassVar[bool] = False
-    # : Whether it is a stiffness rather than a load: a search for equilibrium, which increases the
-    # : loads gradually, applies it in full from the start.
+    #: Whether it is a stiffness rather than a load: a search for equilibrium, which increases the
+    #: loads gradually, applies it in full from the start.
     elastic: ClassVar[bool] = False
-    # : Design fields that make the force depend on velocities; if all are zero it does not.
+    #: Design fields that make the force depend on velocities; if all are zero it does not.
     damping_fields: ClassVar[tuple[str, ...]] = ()
     #: Whether the force depends on the reference configuration.
     refers: ClassVar[bool] = False
-    # : Whether the force may change abruptly with positions or velocities: error-controlled runs :
-    # then check the path of each step for it.
+    #: Whether the force may change abruptly with positions or velocities: error-controlled runs
+    #: then check the path of each step for it.
     sharp: ClassVar[bool] = True
 
     #: Whether the force acts during short contacts, which the steps of a run must not pass over.

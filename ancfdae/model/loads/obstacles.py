@@ -19,8 +19,8 @@ from ancfdae.model.design import Designable
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.vector_formulas import direction, dot
 
-# : Fraction of the radius that bounds distances from a centre from below: at zero they have no
-# direction.
+#: Fraction of the radius that bounds distances from a centre from below: at zero they have no
+#: direction.
 CENTRE = 1e-12
 
 

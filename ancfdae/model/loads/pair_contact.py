@@ -36,7 +36,7 @@ _SLOPES = 0.51
 
 
 def _apart(e: Any, size: Any) -> tuple[Any, Any]:
-    """Return length and direction of e, both differentiable at e = 0."""
+    """Return length and direction of a vector e, both differentiable at e = 0."""
     l = np.sqrt(dot(e, e) + (CENTRE * size) ** 2)
     return l, e / l
 
@@ -187,7 +187,7 @@ class SphereContacts(PairContact):
         return longest(M[..., :1, :] - M[..., n : n + 1, :])
 
     def gates(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
-        """Return max(depth, 0): the force vanishes with it."""
+        """Return max(depth, 0), a factor with which the contact force vanishes."""
         return (positive(self._touched(U, signals, len(U_o) // 2)[0]),)
 
     def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
@@ -371,7 +371,7 @@ class BeamPairContact(PairContact):
         return size - distance, n, xi, share
 
     def gates(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
-        """Return `_near` and max(depth, 0): the force vanishes with either."""
+        """Return `_near` and max(depth, 0), two factors with which the contact force vanishes."""
         near = self._near(U, signals, p)
         return near, positive(self._touched(U, signals, p)[0])
 
@@ -403,7 +403,7 @@ def _clamped(xi: Any, beyond: float) -> Any:
 
 
 def _passed(x: Any) -> Any:
-    """Return a smooth step s from 0 to 1 over |x| < _ZONE, with s(x) + s(-x) = 1."""
+    """Return a smooth step s(x) from 0 to 1 over |x| < _ZONE, with s(x) + s(-x) = 1."""
     y = positive(x / (2 * _ZONE) + 0.5)
     y = y - positive(y - 1)
     return y * y * y * (10 - 15 * y + 6 * y * y)

@@ -32,7 +32,7 @@ from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.vector_formulas import angle, concatenate, cross, dot, positive
 
-# : A point of a body, or a position on the ground.
+#: A point of a body, or a position on the ground.
 Place: TypeAlias = MaterialPoint | Sequence[float]
 
 
@@ -118,7 +118,7 @@ class _Station(NamedTuple):
         return moving_with(self.U, self.V, arm)[1] if self.drags else self.V[..., :1, :]
 
     def pulled(self, F: Any, arm: Any) -> Any:
-        """Return the forces on the vectors of a force F at the end of an arm, or at the centre."""
+        """Return the forces on a station's vectors from a rope force F at an arm or the centre."""
         if self.drags:
             return on_body(F, moving_with(self.U, self.V, arm)[0])
         return concatenate([F, 0.0 * self.U[..., 1:, :]]) if self.U.shape[-2] > 1 else F
@@ -288,7 +288,7 @@ class Rope(Load):
 
     @property
     def _stops(self) -> tuple[Pulley | None, ...]:
-        """The pulleys between None for the start and None for the end."""
+        """The pulleys of the rope in order, between None for its start and None for its end."""
         return (None, *self.pulleys, None)
 
     def check_space(self, elements: Elements) -> None:
@@ -461,13 +461,13 @@ class Rope(Load):
 
 
 def _axis_count(pulley: Pulley | None, d: int) -> int:
-    """Return how many directions of the body of a station the forces depend on, d or 0."""
+    """Return the number of body directions (d or 0) that the forces at a station depend on."""
     turns = pulley is not None and (d == 3 or pulley.friction is not None)
     return d if turns else 0
 
 
 def _unit(axis: Sequence[float] | None) -> Array:
-    """Return a direction with unit length, (1, 3)."""
+    """Return a direction with unit length, (1, 3); `axis` may have any length."""
     a = np.array([axis], dtype=float)
     return a / np.sqrt(dot(a, a))
 

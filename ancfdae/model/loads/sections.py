@@ -37,7 +37,7 @@ def section_of(points: tuple[MaterialPoint, ...], elements: Elements) -> Vectors
 @final
 @dataclass(frozen=True)
 class CarriedAxes:
-    """A section with slopes U, in the reference U_o, that carries directions; empty: the ground."""
+    """A section that carries directions along, slopes U, in the reference U_o; or the ground."""
 
     U: Any
     U_o: Array
@@ -52,7 +52,7 @@ class CarriedAxes:
         return rows if self.ground else self._weights(rows) @ _basis(self.U)
 
     def pull_back(self, rows: Array, G: Any) -> Any:
-        """Return the gradient in U of a function whose gradient in the directions `rows` is G."""
+        """Return a function's gradient in U from G, its gradient in the carried axes `rows`."""
         return _on_slopes(self.U, np.swapaxes(self._weights(rows), -1, -2) @ G)
 
     def _weights(self, rows: Array) -> Array:
@@ -60,14 +60,14 @@ class CarriedAxes:
 
 
 def _basis(U: Any) -> Any:
-    """Return normal and slopes of a section, from which carried directions are combined."""
+    """Return normal and slopes of a section, a basis for directions that it carries along."""
     if U.shape[-1] == 2:
         return concatenate([U @ QUARTER_TURN, U])
     return concatenate([direction(cross(U[..., :1, :], U[..., 1:, :]))[1], U])
 
 
 def _on_slopes(U: Any, G: Any) -> Any:
-    """Return the gradient in the slopes U of a function whose gradient in their basis is G."""
+    """Return a function's gradient in section slopes U from G, its gradient in `_basis(U)`."""
     if U.shape[-1] == 2:
         return G[..., 1:, :] - G[..., :1, :] @ QUARTER_TURN
     r_y, r_z = U[..., :1, :], U[..., 1:, :]

@@ -184,7 +184,7 @@ class Bushing(Load):
 
 
 def _resistance(x: Any, x_U: Any, V: Any, k: Any, c: Any) -> Any:
-    """Return the sum over the axes of (k x + c x') x_U."""
+    """Return the sum over the axes of a bushing of (k x + c x') x_U: minus its force."""
     total = 0.0 * x
     if k is not None:
         total = total + np.reshape(k, (-1, 1, 1)) * x

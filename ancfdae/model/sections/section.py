@@ -13,10 +13,10 @@ from ancfdae.errors.checks import require_positive, require_vector
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import Array
 
-# : Factor that widens a section by round-off, so that its surface belongs to it.
+#: Factor that widens a section by round-off, so that its surface belongs to it.
 ROUND_UP = 1 + 1e-12
 
-# : Points of n sections: y, z, m, and the area that each point represents, m^2, (n, n_p) each.
+#: Points of n sections: y, z, m, and the area that each point represents, m^2, (n, n_p) each.
 SectionPoints = tuple[Array, Array, Array]
 
 
@@ -42,7 +42,7 @@ class Section(abc.ABC):
         If a size or a property is not finite and positive.
     """
 
-    # : Whether the section has `torsional_shear`.
+    #: Whether the section has `torsional_shear`.
     shaped: ClassVar[bool] = False
 
     shear_factors: Sequence[float] | None = field(default=None, kw_only=True)
@@ -205,8 +205,10 @@ def require_smaller(where: str, wall: float, outer: float, rule: str) -> None:
         raise InvalidInputError(where, rule, f"{wall} against {outer}", "Use a thinner wall.")
 
 
-# -- spread of stress -------------------------------------------------------------------------- Odd
-# n of the series of `rectangle_torsional_shear` and signs s_n; exp(-23 pi/2) is round-off.
+# -- spread of stress --------------------------------------------------------------------------
+
+
+# Odd n of the series of `rectangle_torsional_shear` and signs s_n; exp(-23 pi/2) is round-off.
 _ODD = np.arange(1, 24, 2)
 _SIGN = np.array([1.0, -1.0] * 6)
 # Factor that keeps arguments inside the unit circle: the slope of the series is logarithmic at

@@ -57,7 +57,7 @@ class _Round(Section):
         return -radius * np.cos(angle), -radius * np.sin(angle)
 
     def points(self, sizes: Array, fine: bool) -> SectionPoints:
-        """Return Gauss points in squared radius, equal angles; exact to degree 5 (fine: 11)."""
+        """Return Gauss points in squared radius and angle; exact to degree 5 (fine: 11)."""
         radial, angular = (6, 12) if fine else (3, 6)
         corner, rule = box_rule((radial,))
         share, n = corner[:, 0], len(sizes)
@@ -214,9 +214,9 @@ class Rectangle(Rectangular):
 def around(h: Array, w: Array) -> tuple[Array, Array]:
     """Return y and z of points on the four sides of rectangles, shape (n, 16) each; m.
 
-    Bending has its largest stress at corners and torsion in the middle of the long sides, but most
-    of the torsional stress persists up to about the thickness from the corners: so there are points
-    there, best placed with the factor 0.4. Stresses linear along the sides, together with torsional
+    Bending has its largest stress at corners and torsion in the middle of the long sides. But most
+    of the torsional stress persists up to about the thickness from the corners, near which points
+    are placed, best with the factor 0.4. Stresses linear along the sides, together with torsional
     stresses, exceed the largest at these points by less than 3.5 %
     (tests/sensitivity/test_stress.py).
     """

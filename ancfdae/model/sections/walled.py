@@ -195,6 +195,6 @@ def _box_shear(h: Array, w: Array, t_w: Array, t_f: Array, nu: Array) -> Array:
 
 
 def _cowper(m: Array, nu: Array) -> Array:
-    """Return the terms common to the denominators of Cowper's factors of boxes and I sections."""
+    """Return the terms common to Cowper's shear factors of boxes and I sections."""
     plain = 12 + 72 * m + 150 * m**2 + 90 * m**3
     return plain + nu * (11 + 66 * m + 135 * m**2 + 90 * m**3)
