@@ -1,5 +1,6 @@
 """Settings that all tests share."""
 
+import gc
 import importlib.util
 import signal
 
@@ -9,6 +10,16 @@ import pytest
 # Derandomised and without a database: the same examples on every machine and in every run.
 hypothesis.settings.register_profile("ancfdae", derandomize=True, database=None, deadline=None)
 hypothesis.settings.load_profile("ancfdae")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Collect without the garbage collector: it would look at all that stays again and again."""
+    gc.disable()
+    collected = yield
+    gc.freeze()
+    gc.enable()
+    return collected
 
 
 @pytest.fixture(autouse=True)

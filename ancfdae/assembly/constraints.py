@@ -16,14 +16,7 @@ import numpy as np
 
 from ancfdae.assembly.joint_structure import JointStructure, Slot
 from ancfdae.errors.kinds import InconsistentStartError
-from ancfdae.kernels import (
-    ConstraintPlan,
-    Constraints,
-    constraint_curvature,
-    constraint_gradient,
-    constraint_totals,
-    constraints,
-)
+from ancfdae.kernels import ConstraintPlan, Constraints
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import SparsityPattern
 
@@ -255,7 +248,7 @@ class JointConstraints:
         if self.factors.driven or not self.linear:
             return None
         none = np.zeros(self.structure.vectors.n_q)
-        return constraints(self.plan, Constraints.VALUES, self.factors.at(0.0), None, none)
+        return self.plan.evaluate(Constraints.VALUES, self.factors.at(0.0), None, none)
 
     @property
     def active(self) -> list[int]:
@@ -308,25 +301,25 @@ class JointConstraints:
     def by_turn(self, q: Array, t: Array) -> Array:
         """Return the derivatives of Phi in prescribed angles at times t, shape (k, n_lam)."""
         factors = np.concatenate([self.factors.over(t), self.factors.by_turn(t)])
-        return constraints(self.plan, Constraints.RATE, factors, None, q, np.zeros_like(q))
+        return self.plan.evaluate(Constraints.RATE, factors, None, q, np.zeros_like(q))
 
     # -- values, one time ----------------------------------------------------------------------
 
     def constraint(self, t: float, *motion: Array) -> Array:
         """Return Phi, or its time derivative of the order of the rates in `motion`, (n_lam,)."""
         factors = self.factors.at(t, len(motion))
-        return constraints(self.plan, Constraints.RATE, factors, None, *motion)
+        return self.plan.evaluate(Constraints.RATE, factors, None, *motion)
 
     def constraint_q(self, t: float, *motion: Array) -> Array:
         """Return the values of Phi_q, or of its time derivative, on its sparsity pattern."""
         if self._tangent is not None and len(motion) == 1:
             return self._tangent
         factors = self.factors.at(t, len(motion))
-        return constraints(self.plan, Constraints.VALUES, factors, None, *motion)
+        return self.plan.evaluate(Constraints.VALUES, factors, None, *motion)
 
     def reaction(self, t: float, q: Array, lam: Array) -> Array:
         """Return Phi_q^T lam, minus the generalised forces of the joints, shape (n_q,)."""
-        return constraints(self.plan, Constraints.FORCE, self.factors.at(t), lam, q)
+        return self.plan.evaluate(Constraints.FORCE, self.factors.at(t), lam, q)
 
     def force_q_along(self, t: float, states: tuple[Array, Array, Array], share: float) -> Array:
         """Return the values of the derivative of (Phi_q^T lam)_q along (share, dq).
@@ -334,23 +327,23 @@ class JointConstraints:
         `states` are q, dq, lam at one time; `share` is the change of time.
         """
         (q, dq, lam), factors = states, self.factors.at(t, 2)
-        total = constraint_curvature(self.plan, factors, lam, q, dq)
+        total = self.plan.curvature(factors, lam, q, dq)
         if share == 1 or not self.factors.driven:
             return total
-        return total - (1 - share) * constraint_curvature(self.plan, factors, lam, q, 0 * dq)
+        return total - (1 - share) * self.plan.curvature(factors, lam, q, 0 * dq)
 
     # -- values, many times --------------------------------------------------------------------
 
     def constraint_force_q(self, q: Array, lam: Array, t: Array) -> Array:
         """Return the values of (Phi_q^T lam)_q at times t for rows of q and lam, shape (k, nnz)."""
-        return constraint_curvature(self.plan, self.factors.over(t), lam, q)
+        return self.plan.curvature(self.factors.over(t), lam, q)
 
     def constraints_q(self, t: Array, *motion: Array) -> Array:
         """Return the values of Phi_q, or of its time derivative, at times t, shape (k, nnz)."""
         if self._tangent is not None and len(motion) == 1:
             return np.repeat(self._tangent[None], len(t), axis=0)
         factors = self.factors.over(t, len(motion))
-        return constraints(self.plan, Constraints.VALUES, factors, None, *motion)
+        return self.plan.evaluate(Constraints.VALUES, factors, None, *motion)
 
     def pull_back(self, q: Array, lam: Array, t: Array, mu: Array, zeta: Array) -> Array:
         """Return the sum over times of (Phi_q^T lam)_b^T mu + Phi_b^T zeta, shape (n_b,)."""
@@ -368,17 +361,17 @@ class JointConstraints:
     def works_partials(self, q: Array, lam: Array, t: Array) -> tuple[Array, Array, Array]:
         """Return the partials of `works` in q, lam and b; shape (k, n) each."""
         factors, at_rest = self.factors.over(t, 2), (q, np.zeros_like(q))
-        on_q = constraints(self.plan, Constraints.FORCE, factors, lam, *at_rest)
+        on_q = self.plan.evaluate(Constraints.FORCE, factors, lam, *at_rest)
         factors_b = self.factors.partials(t, 2, self.n_b)
-        rows = constraint_totals(
-            self.plan, self._partials.arrays, factors, factors_b, None, None, at_rest, None
+        rows = self.plan.totals(
+            self._partials.arrays, factors, factors_b, None, None, at_rest, None
         )
         return on_q, self._by_time(q, t), np.einsum("kbn,kn->kb", rows, lam)
 
     def _by_time(self, q: Array, t: Array) -> Array:
         """Return Phi_t at times t, the rate of Phi at zero velocity, shape (k, n_lam)."""
         factors = self.factors.over(t, 2)
-        return constraints(self.plan, Constraints.RATE, factors, None, q, np.zeros_like(q))
+        return self.plan.evaluate(Constraints.RATE, factors, None, q, np.zeros_like(q))
 
     # -- rates and their total derivatives, one time ---------------------------------------------
 
@@ -419,7 +412,7 @@ class JointConstraints:
         if not self.active:
             return np.zeros(self.n_b)
         factors = self.factors.over(t, len(motion))
-        on_l, on_c = constraint_gradient(self.plan, factors, weights, *motion)
+        on_l, on_c = self.plan.gradient(factors, weights, *motion)
         return self._partials.contract(on_l.imag / STEP, on_c.imag / STEP, t)
 
     def total(
@@ -455,7 +448,7 @@ class JointConstraints:
             return np.zeros((len(t), n, self.n_b))
         factors = self.factors.spread(t, orders)
         factors_b = self.factors.partials(t, orders, self.n_b)
-        total = constraint_totals(
-            self.plan, self._partials.arrays, factors, factors_b, lam, lam_b, motion, motion_b
+        total = self.plan.totals(
+            self._partials.arrays, factors, factors_b, lam, lam_b, motion, motion_b
         )
         return np.swapaxes(total, 1, 2)

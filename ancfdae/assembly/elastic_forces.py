@@ -11,18 +11,7 @@ import numpy as np
 from ancfdae.assembly.block import ElementBlock
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
-from ancfdae.kernels import (
-    Block,
-    force_partials,
-    force_totals,
-    forces,
-    forces_along,
-    lifted,
-    relative,
-    strain,
-    stressed,
-    tangents,
-)
+from ancfdae.kernels import Block, strain, stressed
 from ancfdae.model.elements import cable, elastic
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import SparsityPattern
@@ -100,44 +89,44 @@ class ElasticForces:
         if not n:
             return 0.0
         apart = np.arange(n * size**2, dtype=np.int32).reshape(n, size**2)
-        block = self._elements
+        block, its = self._block, self._places
         bending = None if block.bending is None else block.bending.real
-        real = block._replace(A=block.A.real, g_o=block.g_o.real, bending=bending, tau=None)
-        K = np.abs(tangents(real, q.real, None, False, apart, apart.size)).reshape(n, size, size)
+        real = Block(block.A.real, block.g_o.real, bending, None, its.vectors, its.d, its.n_q)
+        K = np.abs(real.tangents(q.real, None, False, apart, apart.size)).reshape(n, size, size)
         F = np.matmul(K, np.abs(q)[places][..., None])
         Q = np.finfo(float).eps * np.bincount(places.ravel(), F.ravel(), minlength=len(q))
         return float(np.sqrt(np.sum(Q * Q / weights)))
 
     def relative(self, q: Array) -> Array:
         """Return the relative node vectors of all elements, shape (k, n, n_y, d)."""
-        return relative(self._elements, q)
+        return self._elements.relative(q)
 
     def internal(self, q: Array, v: Array) -> Array:
         """Return -Q_s, shape (n_q,) for one time, or (k, n_q) for rows."""
-        return forces(self._elements, q, v if self.damped else None)
+        return self._elements.forces(q, v if self.damped else None)
 
     def internal_q(self, q: Array, v: Array) -> Array:
         """Return the values of -(Q_s)_q on the pattern, shape (k, nnz)."""
         v_or_none = v if self.damped else None
-        return tangents(self._elements, q, v_or_none, False, self._places.index, self._places.size)
+        return self._elements.tangents(q, v_or_none, False, self._places.index, self._places.size)
 
     def internal_v(self, q: Array) -> Array:
         """Return the values of -(Q_s)_v on the pattern, shape (k, nnz); only if `damped`."""
-        return tangents(self._elements, q, None, True, self._places.index, self._places.size)
+        return self._elements.tangents(q, None, True, self._places.index, self._places.size)
 
     def totals(self, q: Array, v: Array) -> Array:
         """Return -Q_s and its total design derivatives, shape (1 + n_b, n_q).
 
         The first rows of q and v are the state, the others its design derivatives.
         """
-        return force_totals(self._elements, q, v if self.damped else None, *self._law_b)
+        return self._elements.force_totals(q, v if self.damped else None, self._law_b)
 
     def _along(self, states: tuple[Array, Array], rates: tuple[Array, Array]) -> Array:
         """Return the derivatives of -Q_s along rows of rates of q and v, shape (k, n_q)."""
         (q, v), (u, z) = states, rates
         if not self.damped:
-            return forces_along(self._elements, q, None, u, None)
-        return forces_along(self._elements, q, v, u, z)
+            return self._elements.forces_along(q, None, u, None)
+        return self._elements.forces_along(q, v, u, z)
 
     def force_b(self, q: Array, v: Array) -> Array:
         """Return the design partials of -Q_s, shape (k, n_q, n_b)."""
@@ -181,7 +170,7 @@ class ElasticForces:
     def _partials(self, q: Array, v: Array, mu: Array | None) -> Array:
         """Return the design partials of -Q_s, (k, n_b, n_q), or their products with mu, summed."""
         v_or_none = v if self.damped else None
-        return force_partials(self._elements, q, v_or_none, mu, *self._law_b, self._n_b)
+        return self._elements.force_partials(q, v_or_none, mu, self._law_b, self._n_b)
 
     def _partial_rates(
         self, q: Array, v: Array, rates: tuple[Array, Array], mu: Array | None
@@ -204,7 +193,7 @@ class ElasticForces:
         F = stressed(p * chosen[:, None], Y)
         if block.bending is not None:
             F = F + chosen[:, None, None] * cable.curvature_forces(block.bending, Y)
-        return lifted(self._elements, F)
+        return self._elements.lifted(F)
 
     def energy_b(self, q: Array, chosen: Array) -> Array:
         """Return the design partial of the strain energy of the chosen elements, shape (k, n_b)."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from ancfdae.assembly.joint_input import JointInput
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import OperationList, list_values
+from ancfdae.kernels import OperationList
 from ancfdae.model.joints.formula_joint import FormulaJoint
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.operations import TRACE_FAILURES, Operations, Traced, told
@@ -150,8 +150,8 @@ class _Trace:
         with np.errstate(all="ignore"):
             called = joint.equations(reference.copy(), p.copy(), reference.copy(), laws[:, 0])
         state = np.concatenate([reference.ravel(), p, reference.ravel(), laws[:, 0]])
-        listed, called = list_values(Phi, state), np.ravel(np.asarray(called, dtype=float))
-        beside = list_values(Phi, state * (1 + _OTHER))
+        listed, called = Phi.values(state), np.ravel(np.asarray(called, dtype=float))
+        beside = Phi.values(state * (1 + _OTHER))
         known = np.isfinite(called) & np.isfinite(beside)
         # Equations that hold leave round-off; their size is their change with the state.
         gap, size = np.abs(listed - called)[known], np.abs(called)[known]

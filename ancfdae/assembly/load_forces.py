@@ -14,7 +14,7 @@ import numpy as np
 
 from ancfdae.assembly.naming import SceneNaming, Vectors
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import LoadPlan, load_forces, load_forces_along, load_tangents
+from ancfdae.kernels import LoadPlan
 from ancfdae.model.loads.contact import ContactLoad
 from ancfdae.model.loads.load import Copies, Load
 from ancfdae.numerics.arrays import STEP, Array, only
@@ -235,21 +235,21 @@ class MovingLoad:
 
     def force(self, q: Array, v: Array, t: Array) -> Array:
         """Return the generalised force of this load at times t, shape (k, n_q)."""
-        return load_forces(self.plan, self.item.factors(t, 0), q, v)
+        return self.plan.forces(self.item.factors(t, 0), q, v)
 
     def force_along(
         self, states: tuple[Array, Array], rates: tuple[Array, Array], t: Array, dt: float
     ) -> Array:
         """Return the derivative of the load's Q along rates of q and v and the rate dt of time."""
         factors, of_time = self.item.factors(t, 0), dt * self.item.factors(t, 1)
-        dQ = load_forces_along(self.plan, factors, of_time, *states, *rates)
+        dQ = self.plan.forces_along(factors, of_time, *states, *rates)
         if self.item.load.law is None:
             return dQ
-        return dQ + load_forces(self.plan, of_time, *states)
+        return dQ + self.plan.forces(of_time, *states)
 
     def tangents(self, q: Array, v: Array, t: Array, velocity: bool) -> Array:
         """Return the values of Q_v if `velocity`, else of Q_q, on the pattern, (k, nnz)."""
-        return load_tangents(self.plan, self.item.factors(t, 0), q, v, velocity)
+        return self.plan.tangents(self.item.factors(t, 0), q, v, velocity)
 
 
 @final
@@ -374,9 +374,9 @@ class LoadForces:
         q, v = (x[None].real + 1j * STEP * dx.real for x, dx in zip(states, rates, strict=True))
         for load in self._moving:
             factors = load.item.factors(t, 0).real + 1j * STEP * dt * load.item.factors(t, 1).real
-            Q_q += load_tangents(load.plan, factors, q, v, False).imag / STEP
+            Q_q += load.plan.tangents(factors, q, v, False).imag / STEP
             if Q_v is not None and load.item.uses_velocity:
-                Q_v += load_tangents(load.plan, factors, q, v, True).imag / STEP
+                Q_v += load.plan.tangents(factors, q, v, True).imag / STEP
 
     def force_along_pull_back(
         self,

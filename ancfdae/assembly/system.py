@@ -25,11 +25,11 @@ from ancfdae.equations import (
     SystemProperties,
 )
 from ancfdae.equations.contact_record import ContactRecord
+from ancfdae.equations.plans import Plan
 from ancfdae.equations.system import States
 from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import listed
-from ancfdae.kernels import Plan
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array, only
@@ -400,21 +400,22 @@ class AncfSystem(PlannedSystem):
                     found, q = each, q[: each[0]]
         return found
 
-    def off_route(self, q: Array) -> tuple[int, str] | None:
+    def off_route(self, t: Array, q: Array, v: Array) -> tuple[int, str] | None:
         """Return the first state with a guide off its beam or a rope off a pulley, with a message.
 
         Return None if all states are on their routes.
         """
         geometry, found = self._numbers.geometry, list[tuple[int, str]]()
-        U = geometry.joints.vectors.of(q.real)
+        U, V = (geometry.joints.vectors.of(x.real) for x in (q, v))
         for slot in geometry.joints.slots:
-            joint = slot.item
-            off = joint.joint.off_route(U[:, slot.vectors], joint.p.real, joint.reference.real)
+            joint, its = slot.item, slot.vectors
+            numbers = joint.p.real, joint.reference.real
+            off = joint.joint.off_route(t, U[:, its], V[:, its], *numbers)
             found += [] if off is None else [off]
         for load in geometry.loads:
             if load.load.routed:
-                at = load.vectors.of(q.real), load.p.real, load.reference.real
-                off = load.load.off_route(*at)
+                U, V = (load.vectors.of(x.real) for x in (q, v))
+                off = load.load.off_route(t, U, V, load.p.real, load.reference.real)
                 found += [] if off is None else [off]
         return min(found, default=None)
 

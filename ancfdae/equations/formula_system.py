@@ -20,6 +20,7 @@ import numpy as np
 
 from ancfdae.equations.complex_steps import FORGOTTEN, at_values
 from ancfdae.equations.formulas import Formulas, Value, bare, is_bare, wrong_shape
+from ancfdae.equations.plans import ListPlan
 from ancfdae.equations.system import (
     DesignPartials,
     Linearisation,
@@ -28,11 +29,11 @@ from ancfdae.equations.system import (
     SystemProperties,
 )
 from ancfdae.errors.kinds import InvalidInputError, NotTracedWarning, StabilityWarning
-from ancfdae.kernels import Csr, ListPlan, OperationList
+from ancfdae.kernels import OperationList
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.complex_step import require_derivative
 from ancfdae.numerics.operations import Operations
-from ancfdae.numerics.patterns import SparsityPattern
+from ancfdae.numerics.patterns import Csr, SparsityPattern
 
 # Names of coordinates and their rates in a motion.
 _RATES = ("q", "v", "a", "j")

@@ -31,7 +31,7 @@ import numpy as np
 from ancfdae.equations.complex_steps import FORGOTTEN
 from ancfdae.equations.system import SystemProperties
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import OperationList, list_values
+from ancfdae.kernels import OperationList
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.external import Called
 from ancfdae.numerics.operations import TRACE_FAILURES, NotTraceable, Operations, Traced, told
@@ -189,8 +189,8 @@ class Formulas:
         made = self._lists.get(key)
         if made is None:
             made = self._lists[key] = self._compiled(of(self, *which))
-        out = list_values(made.operations, *[at[name] for name in made.inputs])
-        if rows is not None and out.ndim == 1:  # No input of the values has rows.
+        out = made.operations.values(*[at[name] for name in made.inputs])
+        if rows is not None and out.ndim == 1:  # Nothing that the values follow from has rows.
             out = np.repeat(out[None], rows, axis=0)
         lead = out.shape[:-1]
         if len(made.shapes) == 1:

@@ -13,11 +13,12 @@ from typing import Any, final
 import numpy as np
 import scipy
 
+from ancfdae.equations.plans import real_part
 from ancfdae.equations.system import MechanicalSystem, planned
 from ancfdae.errors.kinds import RedundantConstraintsError, SingularMatrix
-from ancfdae.kernels import ComplexModel, March, MatrixLayout, Model, real_part
+from ancfdae.kernels import ComplexModel, March, Model
 from ancfdae.numerics.arrays import Array, only
-from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.numerics.linear_solvers import Factorization, MatrixLayout, SaddlePoint
 
 
 def held_q(system: MechanicalSystem, t: float, q: Array, a: Array, lam: Array) -> Array:

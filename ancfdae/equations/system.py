@@ -43,10 +43,11 @@ import numpy as np
 from ancfdae.equations.complex_steps import ComplexSteps
 from ancfdae.equations.contact_record import ContactRecord
 from ancfdae.equations.naming import Naming
+from ancfdae.equations.plans import CalledPlan, ListPlan, Plan
 from ancfdae.errors.checks import require_array, require_finite, require_flag
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import listed
-from ancfdae.kernels import CalledPlan, ListPlan, OperationList, Plan
+from ancfdae.kernels import OperationList
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import SparsityPattern
 
@@ -377,11 +378,10 @@ class MechanicalSystem(ComplexSteps):
         """
         return None
 
-    def off_route(self, q: Array) -> tuple[int, str] | None:
-        """Return the first of k states with a guide or rope off its route, and a message.
+    def off_route(self, t: Array, q: Array, v: Array) -> tuple[int, str] | None:
+        """Return the first of k states up to which a part has left its route, and in words how.
 
-        q has the shape (k, n_q). It is called if the system is `routed`. None if all states are on
-        their routes.
+        q and v have the shape (k, n_q). It is called if the system is `routed`. None if no part is.
         """
         return None
 

@@ -24,7 +24,13 @@ from ancfdae.events.functions import in_time
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.sensitivity.objectives.objective import NonFiniteObjectiveError, Objective
-from ancfdae.sensitivity.objectives.reductions import AtInstants, OverTime, Reduction, Terminal
+from ancfdae.sensitivity.objectives.reductions import (
+    AtInstants,
+    AtTimes,
+    OverTime,
+    Reduction,
+    Terminal,
+)
 from ancfdae.sensitivity.observables.expression import evaluated, leaf_weights, leaves
 from ancfdae.sensitivity.observables.observable import Observable, States, remembered
 
@@ -130,6 +136,14 @@ def along_phases(
         found.append(nodes)
         past = remembered(nodes)
     return found
+
+
+def at_times(observable: Observable, phases: Sequence[PhaseStates], times: Array) -> Array:
+    """Return an observable at times of a run, shape (n,), interpolated in the phases."""
+    values = [list(nodes.values())[-1] for nodes in along_phases(observable, phases)]
+    spans = [phase.times for phase in phases]
+    read = (_Reduced(AtTimes(observable, [time]), spans, values) for time in times.tolist())
+    return np.array([each.value().real for each in read])
 
 
 @final

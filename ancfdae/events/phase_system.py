@@ -38,8 +38,8 @@ from ancfdae.equations import (
     planned,
 )
 from ancfdae.equations.contact_record import ContactRecord, MissedContact
+from ancfdae.equations.plans import CalledPlan, ListPlan, Plan
 from ancfdae.equations.system import States, called_plan, constraint_q_along, residual_along
-from ancfdae.kernels import CalledPlan, ListPlan, Plan
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.complex_step import scaled_derivative
 
@@ -465,9 +465,9 @@ class PhaseSystem(LaterSystem):
         """Return the first of k states in which a part is mirrored or folded."""
         return self.base.mirrored(q)
 
-    def off_route(self, q: Array) -> tuple[int, str] | None:
+    def off_route(self, t: Array, q: Array, v: Array) -> tuple[int, str] | None:
         """Return the first of k states in which a guide or rope has left its route."""
-        return self.base.off_route(q)
+        return self.base.off_route(self._times(t), q, v)
 
     def turn_rate(self, t: Array) -> Array:
         """Return the largest rate at which constraints prescribe an angle, (k,); rad/s."""

@@ -35,14 +35,7 @@ from ancfdae.integrators.high_order import HighOrder, March, NotFinite
 from ancfdae.integrators.integrator import Points, Rule
 from ancfdae.integrators.problem import Accelerations, InitialValueProblem, stacked, vector_sizes
 from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
-from ancfdae.kernels import (
-    ERROR_TEST,
-    NOT_FINITE,
-    SINGULAR,
-    explicit_march,
-    explicit_terms,
-    finite,
-)
+from ancfdae.kernels import ERROR_TEST, NOT_FINITE, SINGULAR, ExplicitRun, finite
 from ancfdae.numerics.arrays import Array
 
 # Number of stages of a step, index of the state after it (the first stage of the next step), and
@@ -172,14 +165,14 @@ class Dop853:
         self, accelerations: Accelerations, t: float, state: Array, found: Array, h: float
     ) -> None:
         self._accelerations = accelerations
-        self._equations = accelerations.for_kernel(state.shape[1])
         _, rows, n = state.shape
         self._rows, self.states = np.zeros((2 + _ALL, rows * n)), np.zeros((_ALL, *state.shape))
         self._found = np.zeros((_ALL, *found.shape))
         self.states[0], self._found[0] = state, found
         self._rows[:2], self._rows[2] = state.reshape(2, -1), found[:, :n].ravel()
         self._control = np.array([t, t, h, _NO_ERROR_BEFORE, np.nan, 0.0, 0.0])
-        self._step = self._rows, self.states, self._found, self._control
+        step = self._rows, self.states, self._found, self._control
+        self._run = ExplicitRun(accelerations.for_kernel(state.shape[1]), tables(), step)
 
     @property
     def t(self) -> float:
@@ -217,15 +210,14 @@ class Dop853:
         """
         before, at_once = self._control[-2:].copy(), self._accelerations.steps_at_once
         count = min(len(kept.spans), at_once)
-        fixed = self._equations, tables(), self._step, tolerances
-        found = explicit_march(*fixed, times, stop, count, kept)
+        found = self._run.march(tolerances, times, stop, count, kept)
         self._accelerations.count(*(self._control[-2:] - before).astype(int).tolist())
         return found
 
     def between(self) -> Between | None:
         """Return the dense output of the accepted step; None if its accelerations fail."""
         before = self.evaluations
-        terms = explicit_terms(self._equations, tables(), self._step)
+        terms = self._run.terms()
         self._accelerations.count(self.evaluations - before, 0)
         if isinstance(terms, int):
             return None

@@ -131,7 +131,7 @@ class Watch:
         """
         gone, verdict = self._system.mirrored(rows.q), Verdict.FOLDED
         if self._routed:
-            off = self._system.off_route(rows.q if gone is None else rows.q[: gone[0]])
+            off = self._system.off_route(*(x if gone is None else x[: gone[0]] for x in rows))
             gone, verdict = (gone, verdict) if off is None else (off, Verdict.OFF_ROUTE)
         if gone is not None:
             first, what = gone

@@ -45,7 +45,7 @@ from ancfdae.integrators.start import (
     consistent_start,
     start_sensitivity,
 )
-from ancfdae.kernels import SINGULAR, finite, index_1, norm
+from ancfdae.kernels import SINGULAR, ListAccelerations, finite, norm
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 
@@ -169,8 +169,8 @@ class Accelerations:
     #: Steps that one call of the kernel takes: one, because every evaluation here calls Python.
     steps_at_once: int = 1
 
-    def for_kernel(self, rows: int) -> tuple[Any, ...]:
-        """Return the equations for states of `rows` rows, as `explicit_march` takes them."""
+    def for_kernel(self, rows: int) -> Any:
+        """Return the equations for states of `rows` rows, as an `ExplicitRun` takes them."""
 
         def told(
             function: Callable[[float, Array], Array],
@@ -184,7 +184,7 @@ class Accelerations:
             return call
 
         found = told(lambda t, state: self.rows(t, *state))
-        return found, told(self.projected), self._system.n_lam
+        return found, told(self.projected)
 
     def count(self, evaluations: int, projections: int) -> None:
         """Count a kernel's evaluations; here nothing, as the functions it calls count."""
@@ -209,6 +209,7 @@ class ListedAccelerations(Accelerations):
     def __init__(self, system: ListedSystem, matrices: SaddlePoint) -> None:
         super().__init__(system, matrices)
         self._lists, self._others = system.index_1, (system.b, matrices.scale)
+        self._made: dict[bool, ListAccelerations] = {}
 
     def rows(self, t: float, q: Array, v: Array) -> Array:
         """Return a row (a, lam), (n_q + n_lam,), above a row of derivatives per variable."""
@@ -216,8 +217,7 @@ class ListedAccelerations(Accelerations):
 
     def rows_of(self, t: Array, states: Array) -> Array:
         """Return `rows` of k states, (k, 2, rows, n_q), as (k, rows, n_q + n_lam)."""
-        lists, b, scale = self.for_kernel(states.shape[2])
-        found = index_1(lists, b, scale, False, t, states)
+        found = self.for_kernel(states.shape[2]).at(False, t, states)
         return self._found(found, t, states, self._matrices.size)
 
     def projected(self, t: float, rows: Array) -> Array:
@@ -226,8 +226,7 @@ class ListedAccelerations(Accelerations):
 
     def projected_of(self, t: Array, states: Array) -> Array:
         """Return k states, (k, 2, rows, n_q), moved onto the constraints."""
-        lists, b, scale = self.for_kernel(states.shape[2])
-        found = index_1(lists, b, scale, True, t, states)
+        found = self.for_kernel(states.shape[2]).at(True, t, states)
         return self._found(found, t, states, states.shape[3])
 
     def _found(self, found: Array | int, t: Array, states: Array, size: int) -> Array:
@@ -239,9 +238,11 @@ class ListedAccelerations(Accelerations):
             raise SingularMatrix
         return np.full((*states.shape[:-1], size), np.nan)
 
-    def for_kernel(self, rows: int) -> tuple[Any, ...]:
-        """Return operation lists for states of `rows` rows, as `explicit_march` takes them."""
-        return self._lists(rows > 1), *self._others
+    def for_kernel(self, rows: int) -> ListAccelerations:
+        """Return operation lists for states of `rows` rows, as an `ExplicitRun` takes them."""
+        if (rows > 1) not in self._made:
+            self._made[rows > 1] = ListAccelerations(self._lists(rows > 1), *self._others)
+        return self._made[rows > 1]
 
     def count(self, evaluations: int, projections: int) -> None:
         """Count the factorisations of a kernel that evaluated and projected accelerations."""

@@ -52,3 +52,18 @@ void band_solve(Gbtrs<T> gbtrs, char transposed, int n, int half, int rows, T *l
         return;
     gbtrs(&transposed, &n, &half, &half, &rows, lu, &width, pivots, right, &n, &info);
 }
+
+/* Number and scale rows of right sides, and back. A row has `parts` numbers for each unknown, one
+ * beside the other there and one row behind the other here. */
+template <class T>
+void numbered(Size rows, Size n, int parts, const int64_t *order, const double *scale,
+              const T *from, T *to, bool back)
+{
+    for (Size r = 0; r < rows; r++)
+        for (int part = 0; part < parts; part++)
+            for (Size i = 0; i < n; i++) {
+                Size apart = (r * parts + part) * n + i;
+                Size together = (r * n + order[i]) * parts + part;
+                to[back ? together : apart] = scale[order[i]] * from[back ? apart : together];
+            }
+}

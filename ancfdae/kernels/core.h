@@ -1,9 +1,10 @@
 /* The numbers of the package without Python: formulas, matrices, and the loops that run them.
  *
- * Every formula stands once, as a template over its scalar. `_kernels.pyi` says what they
+ * Every formula stands once, as a template over its scalar. `kernels.cpp` says what they
  * compute, docs/theory why.
  */
 
+#include <algorithm>
 #include <array>
 #include <cfloat>
 #include <chrono>
@@ -15,6 +16,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <functional>
+#include <limits>
 #include <map>
 #include <tuple>
 #include <type_traits>
@@ -65,6 +67,7 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 
 #include "elimination.h"
 #include "fronts.h"
+#include "checks.h"
 #include "sides.h"
 
 #include "bending.h"
@@ -91,6 +94,7 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #include "control.h"
 #include "equations.h"
 #include "march.h"
+#include "rooms.h"
 #include "passes.h"
 #include "rest.h"
 #include "stages.h"

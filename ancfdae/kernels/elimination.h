@@ -187,3 +187,43 @@ double elimination_rows(Size N, const int32_t *begin, const int64_t *down, const
     }
     return work;
 }
+
+/* An elimination order, and the fronts in it (`Fronts`), with the multiplications that they take. */
+struct FoundFronts {
+    std::vector<int32_t> order, begin, rows, children;
+    std::vector<int64_t> row_at, factor_at;
+    Size stack, most;
+    double work;
+};
+
+/* The fronts of a symmetric matrix of n unknowns from its entries left of the diagonal. */
+FoundFronts fronts_found(Size n, const int64_t *first, const int32_t *columns, Size n_columns)
+{
+    size_t w = (size_t)n + 1;
+    std::vector<double> zeros(w);
+    std::vector<int64_t> down(w + 1);
+    std::vector<int32_t> room(13 * w + (size_t)n_columns);
+    int32_t *p = room.data(), *begin = p + 9 * w, *size = begin + w, *parent = size + w;
+    int32_t *count = parent + w, *below = count + w;
+    Elimination x = {n,         p,         p + w,    p + 2 * w, p + 3 * w, first, columns,
+                     p + 4 * w, p + 5 * w, p + 7 * w};
+    elimination_parents(&x);
+    elimination_counts(&x);
+    elimination_postorder(&x);
+    for (Size i = 0; i < n; i++) {
+        int32_t up = x.parent[x.post[i]];
+        parent[i] = up < 0 ? -1 : x.place[up], count[i] = x.count[x.post[i]];
+    }
+    size_t N = (size_t)elimination_fronts(n, parent, count, begin, size, zeros.data());
+    FoundFronts to;
+    to.order.assign(x.post, x.post + n), to.begin.assign(begin, begin + N + 1);
+    to.children.resize(N), to.row_at.resize(N + 1), to.factor_at.resize(N + 1);
+    for (size_t s = 0; s < N; s++)
+        to.row_at[s + 1] = to.row_at[s] + size[s];
+    to.rows.resize((size_t)to.row_at[N]);
+    elimination_turned(&x, down.data(), below);
+    to.work = elimination_rows((Size)N, begin, down.data(), below, to.row_at.data(), to.rows.data(),
+                               to.factor_at.data(), to.children.data(), x.mark, x.place, x.head,
+                               &to.stack, &to.most);
+    return to;
+}

@@ -22,6 +22,21 @@ struct Index1System {
     int *exchanged;
 };
 
+/* Whether lists take the numbers of a system and return as many as they must. */
+bool index_1_fits(const Index1System *s)
+{
+    static const int values[] = {MATRIX, PLACE, SPEED}, changes[] = {SIDES, PLACES, SPEEDS};
+    Size n = s->n, m = s->m, n_b = s->n_b, plain = 1 + 2 * n + n_b, size = n + m;
+    bool good = m >= 0;
+    for (int i = 0; good && i < 3; i++) {
+        const Operations *own = s->lists[values[i]], *by = s->lists[changes[i]];
+        Size more = 2 * n + n_b + (i == 0 ? size : 0);
+        good = own->n_inputs == plain && own->n_outputs == (i == 0 ? n * size + size : m) &&
+               (!by || (by->n_inputs == plain + more && by->n_outputs == (i == 0 ? size : m)));
+    }
+    return good;
+}
+
 Size index_1_room(const Index1System *s)
 {
     Size most = 0, size = s->n + s->m;

@@ -2,48 +2,35 @@
 
 /* ---- vectors -------------------------------------------------------------------------------- */
 
-/* Real or complex numbers as real ones, `stride` apart. */
-struct Parts {
-    std::variant<Array<double>, Array<Complex>> of;
-    const double *data;
-    Size size;
-    int stride;
-
-    explicit Parts(PyObject *x)
-        : of(is_complex(x) ? decltype(of)(Array<Complex>(x)) : decltype(of)(Array<double>(x)))
-    {
-        std::visit([this](auto &own) { data = (const double *)own.data, size = own.size; }, of);
-        stride = 1 + (int)of.index();
-    }
-};
-
 /* Sum over pairs of sqrt(sum of weights x^2) of the real parts. */
 double py_norm(Rest<Ref> pairs)
 {
     double total = 0;
     must(!pairs.empty() && pairs.size() % 2 == 0, "norm takes pairs of arguments");
     for (size_t k = 0; k < pairs.size(); k += 2) {
-        Parts x(pairs[k].get());
-        Array<double> weights(pairs[k + 1].get());
+        Numbers x(pairs[k].get(), 0);
+        Array<double> weights(pairs[k + 1]);
         must(x.size == weights.size, "there must be one weight for each number");
+        const double *parts = x.parts();
         double sum = 0;
         for (Size i = 0; i < x.size; i++)
-            sum += weights.data[i] * x.data[i * x.stride] * x.data[i * x.stride];
+            sum += weights.data[i] * parts[i * x.stride()] * parts[i * x.stride()];
         total += sqrt(sum);
     }
     return total;
 }
 
-bool py_finite(Parts x)
+bool py_finite(Numbers all)
 {
-    Size size = x.size * x.stride, i = 0;
+    const double *x = all.parts();
+    Size size = all.size * all.stride(), i = 0;
     /* Zero times what is not finite is not a number; sums apart do not wait for each other. */
     double sum[8] = {0};
     for (; i + 8 <= size; i += 8)
         for (int k = 0; k < 8; k++)
-            sum[k] += 0 * x.data[i + k];
+            sum[k] += 0 * x[i + k];
     for (; i < size; i++)
-        sum[0] += 0 * x.data[i];
+        sum[0] += 0 * x[i];
     for (int k = 1; k < 8; k++)
         sum[0] += sum[k];
     return sum[0] == 0;
@@ -51,17 +38,12 @@ bool py_finite(Parts x)
 
 /* ---- sparse rows ---------------------------------------------------------------------------- */
 
-using Indices = Array<int32_t, 1>;
-
-/* Rows must be in order, hold all entries, and those in a matrix with `n_columns` columns. */
 void check_csr(const Indices &first, const Indices &columns, Size values, Size n_columns)
 {
-    must(ascending(first.data, first.size, 1, columns.size) && values == columns.size &&
-             within(columns, 0, n_columns - 1),
+    must(csr_fits(span_of(first), span_of(columns), values, n_columns),
          "these are not the compressed sparse rows of a matrix of this size");
 }
 
-/* M x for rows of x, or M^T x; `transposed` is the number of columns of M. */
 template <class T>
 Array<T> py_csr_rows(Indices first, Indices columns, Array<T, 1> values, Array<T, 1> x,
                      std::optional<Size> transposed)
@@ -94,6 +76,22 @@ Array<int64_t> py_narrow_order(Indices first_K, Indices columns_K, Indices first
                {}, {}};
     graph_narrow(&g, room.get(), order.data, other.get());
     return order;
+}
+
+bool py_keeps_sides(Array<double, 2> q, Array<int64_t, 2> ends, Size d, Maybe<double, 1> lengths,
+                    Maybe<double, 1> least)
+{
+    Size k = q.length(0), n_q = q.length(1), n = ends.length(0), each = ends.length(1);
+    must((d == 2 || d == 3) && n_q % d == 0 && within(ends, 0, n_q / d - 1) &&
+             (lengths ? each == 4 || each == 2 * (d + 1) : each == d + 1),
+         "there must be vectors of the coordinates, of elements or of rigid bodies");
+    must(!lengths == !least && (!lengths || (lengths->size == n && least->size == n)),
+         "each element has a length and a limit");
+    const double *of = data_of(lengths), *limits = data_of(least);
+    return unlocked([&] {
+        return d == 2 ? Sides<2>{k, n_q, n, each, q.data, of, limits, ends.data}.kept()
+                      : Sides<3>{k, n_q, n, each, q.data, of, limits, ends.data}.kept();
+    });
 }
 
 /* ---- bands ---------------------------------------------------------------------------------- */
@@ -131,288 +129,216 @@ template <class T> Gbtrs<T> gbtrs_of()
     return found;
 }
 
-const Size MOST_HALF = (INT_MAX - 1) / 3;
+/* The band of n unknowns in an order: places of all values, which numbers multiply. */
+struct Band {
+    static constexpr const char *NAME = "Band", *MISSING = "there must be a band";
+    using Arguments = std::tuple<Size, Longs, Array<double, 1>, Longs>;
+    Arguments of;
+    Size half, n, width;
+    bool in_complex = false;
+
+    explicit Band(Arguments arguments) : of(std::move(arguments))
+    {
+        auto &[all_half, flat, factors, order] = of;
+        half = all_half, n = order.size, width = 3 * half + 1;
+        must(n <= INT_MAX && half <= (INT_MAX - 1) / 3 && within(order, 0, n - 1) &&
+                 factors.size == flat.size && within(flat, 0, n * width - 1),
+             "there must be a place in the band and a factor for each value, and an order");
+    }
+    const Longs &flat() const { return std::get<1>(of); }
+    const double *factors() const { return std::get<2>(of).data; }
+    const Longs &order() const { return std::get<3>(of); }
+};
 
 /* The factors, (n, 3 half + 1), pivots, what B is scaled by, and info. */
 template <class T>
-std::tuple<Array<T>, Array<int32_t>, double, int>
-py_band_factor(Array<T> K, Array<T> B, Array<double> factors, Array<int64_t> flat, Size n,
-               Size half)
+std::tuple<Array<T>, Array<int32_t>, double, int> py_band_factor(Kept<Band> band, Array<T> K,
+                                                                 Array<T> B)
 {
-    must(n <= INT_MAX && half <= MOST_HALF, "a number is negative or too large");
-    auto lu = zeros<T>({n, 3 * half + 1});
-    auto pivots = zeros<int32_t>({n});
-    Size size = K.size + 2 * B.size;
+    must(band->flat().size == K.size + 2 * B.size, "the band must have a place for each value");
+    auto lu = zeros<T>({band->n, band->width});
+    auto pivots = zeros<int32_t>({band->n});
     double of_B = 1;
-    must(flat.size == size && factors.size == size && within(flat, 0, lu.size - 1),
-         "there must be a place in the band and a factor for each value");
-    int info = band_factor<T>(gbtrf_of<T>(), (int)n, (int)half, K.size, B.size, K.data, B.data,
-                              factors.data, flat.data, lu.data, pivots.data, &of_B);
+    int info = band_factor<T>(gbtrf_of<T>(), (int)band->n, (int)band->half, K.size, B.size, K.data,
+                              B.data, band->factors(), band->flat().data, lu.data, pivots.data,
+                              &of_B);
     return {std::move(lu), std::move(pivots), of_B, info};
-}
-
-/* Number and scale rows of right sides, and back. A row has `parts` numbers for each unknown, one
- * beside the other there and one row behind the other here. */
-template <class T>
-void numbered(Size rows, Size n, int parts, const int64_t *order, const double *scale,
-              const T *from, T *to, bool back)
-{
-    for (Size r = 0; r < rows; r++)
-        for (int part = 0; part < parts; part++)
-            for (Size i = 0; i < n; i++) {
-                Size apart = (r * parts + part) * n + i;
-                Size together = (r * n + order[i]) * parts + part;
-                to[back ? together : apart] = scale[order[i]] * from[back ? apart : together];
-            }
 }
 
 /* Solutions for rows of right sides R by a matrix of scalars T. */
 template <class T, class R>
-Array<R> py_band_solve(Array<T, 2> lu, Array<int32_t> pivots, Size half, Array<int64_t> order,
-                       Array<double> scale, Array<R, 1> right, bool transposed)
+Array<R> py_band_solve(Kept<Band> band, Array<T, 2> lu, Array<int32_t> pivots, Array<double> scale,
+                       Array<R, 1> right, bool transposed)
 {
     constexpr int parts = sizeof(R) / sizeof(T);
-    Size n = order.size, rows = right.rows(1);
-    must(half <= MOST_HALF && n <= INT_MAX && lu.has({n, 3 * half + 1}) && pivots.size == n &&
-             within(pivots, 1, n) && within(order, 0, n - 1) && scale.size == n,
-         "factors, pivots, order and scale must be those of one band matrix");
-    must(right.ends({n}) && rows <= INT_MAX / 2,
-         "a right side must have one number for each row of the matrix");
+    Size n = band->n, rows = right.rows(1);
+    must(lu.has({n, band->width}) && pivots.size == n && within(pivots, 1, n) && scale.size == n &&
+             right.ends({n}) && rows <= INT_MAX / 2,
+         "factors, pivots, scale and right sides must be those of one band matrix");
     auto work = room_for<T>(parts * right.size);
     auto out = zeros_like<R>(right, 0, {});
-    numbered<T>(rows, n, parts, order.data, scale.data, (const T *)right.data, work.get(), false);
-    band_solve<T>(gbtrs_of<T>(), transposed ? 'T' : 'N', (int)n, (int)half, (int)rows * parts,
+    const int64_t *order = band->order().data;
+    numbered<T>(rows, n, parts, order, scale.data, (const T *)right.data, work.get(), false);
+    band_solve<T>(gbtrs_of<T>(), transposed ? 'T' : 'N', (int)n, (int)band->half, (int)rows * parts,
                   lu.data, pivots.data, work.get());
-    numbered<T>(rows, n, parts, order.data, scale.data, work.get(), (T *)out.data, true);
+    numbered<T>(rows, n, parts, order, scale.data, work.get(), (T *)out.data, true);
     return out;
 }
 
 /* ---- envelopes and fronts ------------------------------------------------------------------- */
 
-/* Columns of an envelope (symmetric.h) must begin at their diagonal and end in order; its size. */
-Size envelope_size(const Indices &first)
-{
-    Size n = first.size - 1, last = 0;
-    bool good = first.axes == 1 && n >= 0 && first.data[0] == 0;
-    for (Size k = 0; good && k < n; k++) {
-        Size height = (Size)first.data[k + 1] - first.data[k], end = k + height;
-        good = height >= 1 && end >= last && end <= n;
-        last = end;
-    }
-    must(good, "columns of an envelope begin at their diagonal and end in order");
-    return first.data[n];
-}
-
 /* A sum of numbers times values, of one size. */
 template <class T> using Terms = std::vector<std::tuple<double, Array<T>>>;
 
-/* Add the values `chosen` of a sum, then all of B, at their places among `size` numbers. */
-template <class T>
-void placed(const Terms<T> &terms, const Array<T> &B, const Indices &chosen, const Indices &places,
-            Array<T> &out)
-{
-    Size n = chosen.size, each = terms.empty() ? -1 : std::get<1>(terms[0]).size;
-    must(each >= 0 && places.size == n + B.size && within(chosen, 0, each - 1) &&
-             within(places, 0, out.size - 1),
-         "there must be terms, and a place in the matrix for each value");
-    for (auto &[s, K] : terms) {
-        must(K.size == each, "terms must have one size");
-        ldl_placed<T>(n, chosen.data, places.data, s, K.data, out.data);
-    }
-    ldl_placed<T>(B.size, nullptr, places.data + n, 1, B.data, out.data);
-}
+/* Where chosen values of K, then all of B, stand among `size` numbers of a lower triangle. */
+struct LowerPlaces {
+    Indices chosen, places;
+    Size least; /* How many values K has at least. */
 
-/* Factors in their envelope, and the pivot that fails. */
+    LowerPlaces(Indices all_chosen, Indices all_places, Size size)
+        : chosen(std::move(all_chosen)), places(std::move(all_places)), least(0)
+    {
+        for (Size i = 0; i < chosen.size; i++)
+            least = std::max(least, (Size)chosen.data[i] + 1);
+        must(within(chosen, 0, NPY_MAX_INT32) && within(places, 0, size - 1),
+             "there must be a place in the matrix for each value");
+    }
+    Size of_B() const { return places.size - chosen.size; }
+
+    template <class T> void add(const Terms<T> &terms, const Array<T> &B, Array<T> &out) const
+    {
+        Size each = terms.empty() ? -1 : std::get<1>(terms[0]).size;
+        must(each >= least && of_B() == B.size, "there must be terms, and values for all places");
+        for (auto &[s, K] : terms) {
+            must(K.size == each, "terms must have one size");
+            ldl_placed<T>(chosen.size, chosen.data, places.data, s, K.data, out.data);
+        }
+        ldl_placed<T>(B.size, nullptr, places.data + chosen.size, 1, B.data, out.data);
+    }
+};
+
+/* Where columns of an envelope begin (symmetric.h), its places, signs of pivots, and the order. */
+struct Envelope {
+    static constexpr const char *NAME = "Envelope", *MISSING = "there must be an envelope";
+    using Arguments = std::tuple<Indices, Indices, Indices, Array<double, 1>, Longs>;
+    Indices first;
+    LowerPlaces lower;
+    Array<double, 1> signs;
+    Longs order;
+    Size n, size;
+    bool in_complex = false;
+
+    static Size size_of(const Indices &first)
+    {
+        must(envelope_fits(span_of(first)),
+             "columns of an envelope begin at their diagonal and end in order");
+        return first.data[first.size - 1];
+    }
+    explicit Envelope(Arguments x)
+        : first(std::move(std::get<0>(x))),
+          lower(std::move(std::get<1>(x)), std::move(std::get<2>(x)), size_of(first)),
+          signs(std::move(std::get<3>(x))), order(std::move(std::get<4>(x))), n(order.size),
+          size(size_of(first))
+    {
+        must(first.size == n + 1 && signs.size == n && within(order, 0, n - 1),
+             "there must be a sign for each row, and an order");
+    }
+};
+
+Size py_envelope_size(Kept<Envelope> of) { return of->size; }
+
 template <class T>
-std::tuple<Array<T>, int> py_ldl_factor(Terms<T> terms, Array<T> B, Indices chosen, Indices places,
-                                        Indices first, Array<double, 1> signs)
+std::tuple<Array<T>, int> py_ldl_factor(Kept<Envelope> of, Terms<T> terms, Array<T> B)
 {
-    auto a = zeros<T>({envelope_size(first)});
-    Size n = first.size - 1;
-    must(signs.size == n, "there must be a sign for each row");
-    placed<T>(terms, B, chosen, places, a);
-    auto least = room_for<double>(n);
-    int info = ldl_factor<T>(n, first.data, signs.data, a.data, least.get());
+    auto a = zeros<T>({of->size});
+    of->lower.add(terms, B, a);
+    auto least = room_for<double>(of->n);
+    int info = ldl_factor<T>(of->n, of->first.data, of->signs.data, a.data, least.get());
     return {std::move(a), info};
 }
 
 template <class T, class R>
-Array<R> py_ldl_solve(Array<T, 1> factors, Indices first, Array<int64_t, 1> order,
-                      Array<R, 1> right)
+Array<R> py_ldl_solve(Kept<Envelope> of, Array<T, 1> factors, Array<R, 1> right)
 {
     constexpr int parts = sizeof(R) / sizeof(T);
-    Size n = first.size - 1;
-    must(factors.size == envelope_size(first) && order.size == n && within(order, 0, n - 1) &&
-             right.ends({n}),
-         "factors, order and right sides must be those of one matrix");
-    auto work = room_for<T>(8 * n);
+    must(factors.size == of->size && right.ends({of->n}),
+         "factors and right sides must be those of the envelope");
+    auto work = room_for<T>(8 * of->n);
     auto out = zeros_like<R>(right, 0, {});
-    ldl_solve<T>(n, first.data, factors.data, order.data, right.rows(1) * parts, parts,
+    ldl_solve<T>(of->n, of->first.data, factors.data, of->order.data, right.rows(1) * parts, parts,
                  (const T *)right.data, work.get(), (T *)out.data);
     return out;
 }
 
 /* The fronts of a symmetric matrix from its entries left of the diagonal, row by row: (order, begin,
  * row_at, rows, factor_at, children, stack, most), and the multiplications of a factorisation. */
-using Longs = Array<int64_t, 1>;
-
-/* See `Sides`; without lengths the vectors belong to rigid bodies. */
-bool py_keeps_sides(Array<double, 2> q, Array<int64_t, 2> ends, Size d, Maybe<double, 1> lengths,
-                    Maybe<double, 1> least)
+std::tuple<std::tuple<Numbered, Numbered, std::vector<int64_t>, Numbered, std::vector<int64_t>,
+                      Numbered, Size, Size>,
+           double>
+py_eliminate(Longs first, Indices columns)
 {
-    Size k = q.length(0), n_q = q.length(1), n = ends.length(0), each = ends.length(1);
-    must((d == 2 || d == 3) && n_q % d == 0 && within(ends, 0, n_q / d - 1) &&
-             (lengths ? each == 4 || each == 2 * (d + 1) : each == d + 1),
-         "there must be vectors of the coordinates, of elements or of rigid bodies");
-    must(!lengths == !least && (!lengths || (lengths->size == n && least->size == n)),
-         "each element has a length and a limit");
-    const double *of = data_of(lengths), *limits = data_of(least);
-    Unlocked others;
-    return d == 2 ? Sides<2>{k, n_q, n, each, q.data, of, limits, ends.data}.kept()
-                  : Sides<3>{k, n_q, n, each, q.data, of, limits, ends.data}.kept();
-}
-using FrontsFound = std::tuple<Array<int32_t>, Array<int32_t>, Array<int64_t>, Array<int32_t>,
-                               Array<int64_t>, Array<int32_t>, Size, Size>;
-std::tuple<FrontsFound, double> py_eliminate(Longs first, Indices columns)
-{
-    Size n = first.size - 1, w = n + 1, stack, most;
-    bool good = n < NPY_MAX_INT32 && ascending(first.data, first.size, 1, columns.size);
-    for (Size i = 0; good && i < n; i++)
-        for (int64_t e = first.data[i]; good && e < first.data[i + 1]; e++)
-            good = columns.data[e] >= 0 && columns.data[e] < i;
-    must(good, "entries must stand left of the diagonal, row by row");
-    auto zeros_of = room_for<double>(w);
-    auto down = room_for<int64_t>(n + 2);
-    auto room = room_for<int32_t>(13 * w + columns.size);
-    int32_t *p = room.get(), *begin = p + 9 * w, *size = begin + w, *parent = size + w;
-    int32_t *count = parent + w, *below = count + w;
-    Elimination x = {n,         p,         p + w,    p + 2 * w, p + 3 * w, first.data, columns.data,
-                     p + 4 * w, p + 5 * w, p + 7 * w};
-    elimination_parents(&x);
-    elimination_counts(&x);
-    elimination_postorder(&x);
-    for (Size i = 0; i < n; i++) {
-        int32_t up = x.parent[x.post[i]];
-        parent[i] = up < 0 ? -1 : x.place[up], count[i] = x.count[x.post[i]];
-    }
-    Size N = elimination_fronts(n, parent, count, begin, size, zeros_of.get());
-    auto order = zeros<int32_t>({n}), begins = zeros<int32_t>({N + 1}),
-         children = zeros<int32_t>({N});
-    auto row_at = zeros<int64_t>({N + 1}), factor_at = zeros<int64_t>({N + 1});
-    for (Size s = 0; s < N; s++)
-        row_at.data[s + 1] = row_at.data[s] + size[s];
-    auto rows = zeros<int32_t>({(Size)row_at.data[N]});
-    std::copy(x.post, x.post + n, order.data);
-    std::copy(begin, begin + N + 1, begins.data);
-    elimination_turned(&x, down.get(), below);
-    double work =
-        elimination_rows(N, begin, down.get(), below, row_at.data, rows.data, factor_at.data,
-                         children.data, x.mark, x.place, x.head, &stack, &most);
-    return {FrontsFound{std::move(order), std::move(begins), std::move(row_at), std::move(rows),
-                        std::move(factor_at), std::move(children), stack, most},
-            work};
+    must(lower_fits(span_of(first), span_of(columns)),
+         "entries must stand left of the diagonal, row by row");
+    FoundFronts x = fronts_found(first.size - 1, first.data, columns.data, columns.size);
+    return {{x.order, x.begin, x.row_at, x.rows, x.factor_at, x.children, x.stack, x.most}, x.work};
 }
 
-/* (begin, row_at, rows, factor_at, children, stack, most, column_at, column_rows, signs) of a
- * matrix, checked. */
-struct FrontArguments {
-    std::tuple<Indices, Longs, Indices, Longs, Indices, Size, Size, Longs, Indices,
-               Array<double, 1>>
-        of;
+struct FrontPlan {
+    static constexpr const char *NAME = "FrontPlan", *MISSING = "there must be fronts";
+    using Arguments = std::tuple<Indices, Longs, Indices, Longs, Indices, Size, Size, Longs, Indices,
+                                 Array<double, 1>, Longs, Indices, Indices>;
+    Arguments of;
     Fronts fronts;
+    std::optional<LowerPlaces> lower;
+    bool in_complex = false;
 
-    explicit FrontArguments(PyObject *object) : of(From<decltype(of)>::object(object))
+    explicit FrontPlan(Arguments arguments) : of(std::move(arguments))
     {
-        auto &[begin, row_at, rows, factor_at, children, stack, most, column_at, column_rows,
-               signs] = of;
-        Size N = children.size, n = signs.size, waiting = 0, top = 0;
-        Fronts *x = &fronts;
-        *x = {n,
-              N,
-              most,
-              stack,
-              begin.data,
-              row_at.data,
-              rows.data,
-              factor_at.data,
-              children.data,
-              column_at.data,
-              column_rows.data,
-              signs.data};
-        bool good = begin.size == N + 1 && row_at.size == N + 1 && factor_at.size == N + 1 &&
-                    most <= n && x->begin[0] == 0 && x->begin[N] == n && x->row_at[0] == 0 &&
-                    x->row_at[N] == rows.size && x->factor_at[0] == 0 && within(rows, 0, n - 1) &&
-                    ascending(x->column_at, column_at.size, 1, column_rows.size) &&
-                    column_at.size == n + 1 && within(column_rows, 0, n - 1);
-        auto mark = room_for<int32_t>(n), updates = room_for<int32_t>(N + 1);
-        std::fill_n(mark.get(), n, -1);
-        for (Size j = 0; good && j < n; j++)
-            good = x->column_at[j + 1] > x->column_at[j] && x->column_rows[x->column_at[j]] == j;
-        auto below = [x](Size s) {
-            return x->row_at[s + 1] - x->row_at[s] - (x->begin[s + 1] - x->begin[s]);
-        };
-        /* The rows of each front hold those of its columns and of the updates that it takes. */
-        for (Size s = 0; good && s < N; s++) {
-            Size k = x->begin[s + 1] - x->begin[s], f = x->row_at[s + 1] - x->row_at[s], u = f - k;
-            good = k > 0 && u >= 0 && f <= most && x->children[s] >= 0 &&
-                   x->children[s] <= waiting && x->row_at[s + 1] <= rows.size &&
-                   x->begin[s + 1] <= n && x->factor_at[s + 1] == x->factor_at[s] + f * k &&
-                   top + u * u <= stack;
-            for (Size i = 0; good && i < f; i++) {
-                int32_t row = x->rows[x->row_at[s] + i];
-                good = i >= k || row == x->begin[s] + i;
-                mark[(size_t)row] = (int32_t)s;
-            }
-            for (int64_t e = x->column_at[x->begin[s]]; good && e < x->column_at[x->begin[s + 1]];
-                 e++)
-                good = mark[(size_t)x->column_rows[e]] == s;
-            for (int32_t c = 0; good && c < x->children[s]; c++) {
-                Size own = updates[(size_t)--waiting];
-                top -= below(own) * below(own);
-                for (int64_t e = x->row_at[own + 1] - below(own); good && e < x->row_at[own + 1];
-                     e++)
-                    good = mark[(size_t)x->rows[e]] == s;
-            }
-            if (good)
-                top += u * u, updates[(size_t)waiting++] = (int32_t)s;
-        }
-        must(good, "these are no fronts of one matrix, or a front lacks rows");
+        auto &[begin, row_at, rows, factor_at, children, stack, most, column_at, column_rows, signs,
+               order, chosen, places] = of;
+        Size N = children.size, n = signs.size;
+        fronts = {n,             N,          most,           stack,
+                  begin.data,    row_at.data, rows.data,     factor_at.data,
+                  children.data, column_at.data, column_rows.data, signs.data};
+        must(begin.size == N + 1 && row_at.size == N + 1 && factor_at.size == N + 1 &&
+                 column_at.size == n + 1 && order.size == n && within(order, 0, n - 1) &&
+                 fronts_fit(&fronts, rows.size, column_rows.size),
+             "these are no fronts of one matrix, or a front lacks rows");
+        lower.emplace(std::move(chosen), std::move(places), column_at.data[n]);
     }
+    const int64_t *order() const { return std::get<10>(of).data; }
 };
 
 /* (scaled values, scale, factors), and the pivot that fails. */
 using Factored = std::tuple<Array<double>, Array<double>, Array<double>>;
-std::tuple<Factored, Size> fronts_of(const Terms<double> &terms, const Array<double> &B,
-                                     const Indices &chosen, const Indices &places,
-                                     const Fronts &x, Size *excess)
+std::tuple<Factored, Size> fronts_of(const FrontPlan &of, const Terms<double> &terms,
+                                     const Array<double> &B, Size *excess)
 {
+    const Fronts &x = of.fronts;
     auto a = zeros<double>({(Size)x.column_at[x.n]}), scale = zeros<double>({x.n});
     auto factors = zeros<double>({(Size)x.factor_at[x.count]});
     auto room = room_for<double>(a.size + x.stack + 5 * x.most);
     auto at = room_for<int32_t>(2 * x.n);
-    placed<double>(terms, B, chosen, places, a);
+    of.lower->add(terms, B, a);
     FrontRoom own = {
         a.data,  scale.data, room.get(), room.get() + a.size, room.get() + a.size + x.stack,
         at.get()};
-    Size info;
-    info = unlocked([&] { return fronts_factored(&x, &own, factors.data, excess); });
+    Size info = unlocked([&] { return fronts_factored(&x, &own, factors.data, excess); });
     return {Factored{std::move(a), std::move(scale), std::move(factors)}, info};
 }
 
-std::tuple<Factored, Size> py_fronts_factor(Terms<double> terms, Array<double> B, Indices chosen,
-                                            Indices places, FrontArguments of)
+std::tuple<Factored, Size> py_fronts_factor(Kept<FrontPlan> of, Terms<double> terms,
+                                            Array<double> B)
 {
-    return fronts_of(terms, B, chosen, places, of.fronts, nullptr);
+    return fronts_of(*of, terms, B, nullptr);
 }
 
-/* By how many more pivots are negative than should be, and the growth, infinite where a pivot
- * vanishes, or has not its sign unless signs are counted. */
-std::tuple<Size, double> py_fronts_signs(Terms<double> terms, Array<double> B, Indices chosen,
-                                         Indices places, FrontArguments of, bool counted)
+std::tuple<Size, double> py_fronts_signs(Kept<FrontPlan> of, Terms<double> terms, Array<double> B,
+                                         bool counted)
 {
-    const Fronts &x = of.fronts;
+    const Fronts &x = of->fronts;
     Size excess = 0;
-    auto [factored, info] = fronts_of(terms, B, chosen, places, x, counted ? &excess : nullptr);
+    auto [factored, info] = fronts_of(*of, terms, B, counted ? &excess : nullptr);
     auto &[a, scale, factors] = factored;
     if (info)
         return {excess, INFINITY};
@@ -423,23 +349,20 @@ std::tuple<Size, double> py_fronts_signs(Terms<double> terms, Array<double> B, I
 /* Solutions, and the largest relative residual; right sides are the last axis. Residuals up to
  * `enough`, or a few units of round-off, are not refined. */
 template <class R>
-std::tuple<Array<R>, double>
-py_fronts_solve(std::tuple<Array<double, 1>, Array<double, 1>, Array<double, 1>> factored,
-                FrontArguments of, Longs order, Array<R, 1> right, double enough)
+std::tuple<Array<R>, double> py_fronts_solve(Kept<FrontPlan> of, Fields<3> factored,
+                                             Array<R, 1> right, double enough)
 {
     constexpr int parts = sizeof(R) / sizeof(double);
-    const Fronts &x = of.fronts;
-    auto &[a, scale, factors] = factored;
-    must(a.size == x.column_at[x.n] && scale.size == x.n && factors.size == x.factor_at[x.count] &&
-             order.size == x.n && within(order, 0, x.n - 1) && right.ends({x.n}),
-         "factors, order and right sides must be those of one matrix");
+    const Fronts &x = of->fronts;
+    const double *a, *scale, *factors;
+    factored(a, {x.column_at[x.n]})(scale, {x.n})(factors, {x.factor_at[x.count]});
+    must(right.ends({x.n}), "right sides must be those of the matrix");
     auto work = room_for<double>(12 * x.n + 4 * x.most);
     auto out = zeros_like<R>(right, 0, {});
-    double worst;
-    worst = unlocked([&] {
-        return fronts_solve(fmax(enough, TO_ROUND_OFF), &x, a.data, factors.data, order.data,
-                            scale.data, right.rows(1) * parts, parts, (const double *)right.data,
-                            work.get(), (double *)out.data);
+    double worst = unlocked([&] {
+        return fronts_solve(fmax(enough, TO_ROUND_OFF), &x, a, factors, of->order(), scale,
+                            right.rows(1) * parts, parts, (const double *)right.data, work.get(),
+                            (double *)out.data);
     });
     return {std::move(out), worst};
 }

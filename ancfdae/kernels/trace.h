@@ -19,6 +19,13 @@ struct TraceCall {
     int32_t size;
 };
 
+/* What an `OperationList` is made of: constants, operations with both their numbers, outputs, calls,
+ * and which functions these call. */
+struct PlacedList {
+    std::vector<Complex> constants;
+    Numbered op, a, b, outputs, calls, functions;
+};
+
 struct Trace {
     using Operation = std::array<int32_t, 3>;
     struct Hash {
@@ -45,6 +52,14 @@ struct Trace {
     int32_t size() const { return n_inputs + (int32_t)operations.size(); }
     const Operation &of(int32_t number) const { return operations[(size_t)(number - n_inputs)]; }
     Complex value(int32_t number) const { return constants[(size_t)(-number - 1)]; }
+
+    bool holds(const Numbered &numbers) const
+    {
+        for (int32_t x : numbers)
+            if (x >= size() || x < -(Size)constants.size())
+                return false;
+        return true;
+    }
 
     int32_t constant(Complex x)
     {
@@ -178,10 +193,10 @@ struct Trace {
     }
 
     /* Numbers of the operations that outputs follow from, in their order. */
-    Numbered needed(const int32_t *outputs, Size count) const
+    Numbered needed(const Numbered &outputs) const
     {
         std::vector<char> found(operations.size());
-        Numbered waiting(outputs, outputs + count), all;
+        Numbered waiting = outputs, all;
         while (!waiting.empty()) {
             int32_t number = waiting.back();
             waiting.pop_back();
@@ -242,7 +257,7 @@ struct Trace {
     Numbered partials(int32_t output)
     {
         int32_t zero = constant(0), one = constant(1);
-        Numbered weights((size_t)size(), zero), all = needed(&output, 1);
+        Numbered weights((size_t)size(), zero), all = needed({output});
         if (output >= 0)
             weights[(size_t)output] = one;
         for (size_t k = all.size(); k-- > 0;) {
@@ -261,5 +276,74 @@ struct Trace {
         }
         weights.resize((size_t)n_inputs);
         return weights;
+    }
+
+    /* Inputs that outputs follow from. */
+    Numbered inputs(const Numbered &outputs) const
+    {
+        std::vector<char> used((size_t)n_inputs);
+        Numbered all;
+        auto note = [&](int32_t x) {
+            if (x >= 0 && x < n_inputs)
+                used[(size_t)x] = 1;
+        };
+        for (int32_t z : needed(outputs))
+            for_operands(z, note);
+        std::for_each(outputs.begin(), outputs.end(), note);
+        for (size_t x = 0; x < used.size(); x++)
+            if (used[x])
+                all.push_back((int32_t)x);
+        return all;
+    }
+
+    /* A list of some inputs, whose numbers are counted in the order of these, of constants and of
+     * results; what outputs do not follow from is left out. False if they follow from other inputs. */
+    bool placed(const Numbered &outputs, const Numbered &inputs, PlacedList *to) const
+    {
+        Numbered all = needed(outputs), place((size_t)size(), -1), of_constant(constants.size(), -1);
+        auto note = [&](int32_t x) {
+            if (x < 0)
+                of_constant[(size_t)(-x - 1)] = 0;
+        };
+        for (int32_t z : all)
+            for_operands(z, note);
+        std::for_each(outputs.begin(), outputs.end(), note);
+        int32_t next = 0;
+        for (int32_t x : inputs)
+            if (x < 0)
+                return false;
+            else
+                place[(size_t)x] = next++;
+        for (size_t i = 0; i < of_constant.size(); i++)
+            if (of_constant[i] == 0)
+                of_constant[i] = next++, to->constants.push_back(constants[i]);
+        for (int32_t z : all)
+            place[(size_t)z] = next++;
+        bool good = true;
+        auto at = [&](int32_t x) {
+            int32_t found = x < 0 ? of_constant[(size_t)(-x - 1)] : place[(size_t)x];
+            good &= found >= 0;
+            return found;
+        };
+        for (int32_t z : all) {
+            auto [code, x, y] = of(z);
+            to->op.push_back(code);
+            if (code != CALL) {
+                to->a.push_back(at(x)), to->b.push_back(at(code == RESULT ? x : y));
+                continue;
+            }
+            const TraceCall &own = calls[(size_t)x];
+            to->a.push_back((int32_t)to->calls.size());
+            to->b.push_back((int32_t)to->functions.size());
+            to->functions.push_back(x);
+            to->calls.push_back((int32_t)own.inputs.size()), to->calls.push_back(own.size);
+            for (int32_t input : own.inputs)
+                to->calls.push_back(at(input));
+            for (int32_t i = 0; i < own.size; i++)
+                to->calls.push_back(place[(size_t)(z + 1 + i)]);
+        }
+        for (int32_t output : outputs)
+            to->outputs.push_back(at(output));
+        return good;
     }
 };

@@ -183,12 +183,14 @@ class Part(Designable, abc.ABC):
         """Return the states of a load, or the rates of the states of a joint, at t = 0."""
         return ()
 
-    def off_route(self, U: Array, p: Array, U_o: Array) -> tuple[int, str] | None:
-        """Return the index of the first of k states that is off the route, and a message.
+    def off_route(
+        self, t: Array, U: Array, V: Array, p: Array, U_o: Array
+    ) -> tuple[int, str] | None:
+        """Return the first of k states up to which the part has left its route, and in words how.
 
-        U are the vectors, (k, n_vectors, d), and U_o the vectors in the reference configuration.
-        None if no guide or pulley is left in any state. The message begins with a verb and ends
-        with a remedy.
+        U are the vectors at times t, (k, n_vectors, d), V their rates, and U_o the vectors in the
+        reference configuration. None if the part stays on its route. The words begin with a verb
+        and end with a remedy.
         """
         return None
 

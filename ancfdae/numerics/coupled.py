@@ -4,12 +4,18 @@
 (n x n), [ K_s1 .. K_ss           B_s^T ]      B_i on that of B (m x n). [ B_1 .. B_s           0 ]
 """
 
+from typing import TypeAlias
+
 import numpy as np
 
-from ancfdae.kernels import CoupledArrays
+from ancfdae.kernels import Band
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.linear_solvers import SaddlePoint
+from ancfdae.numerics.linear_solvers import Factorise, SaddlePoint
 from ancfdae.numerics.patterns import SparsityPattern
+
+#: The coupled matrix of stages: order and scale of the unknowns, places of blocks (i, j) in its K,
+#: and a band, or what factorises.
+CoupledArrays: TypeAlias = tuple[Array, Array, Array, Band | None, Factorise | None]
 
 
 def coupled_arrays(

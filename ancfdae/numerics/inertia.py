@@ -36,7 +36,7 @@ from typing import Any, TypeAlias, final
 import numpy as np
 import scipy
 
-from ancfdae.kernels import FrontArrays, eliminate, fronts_factor, fronts_signs, fronts_solve
+from ancfdae.kernels import FrontPlan, eliminate
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import SparsityPattern
 
@@ -79,16 +79,13 @@ class Fronts:
         )
         entries, places = np.unique(at, return_inverse=True)
         first = np.searchsorted(entries, (n + m) * np.arange(n + m + 1))
-        self._chosen = np.flatnonzero(lower[: K.size]).astype(np.int32)
-        self._places = places[: len(places) - m].astype(np.int32)
+        chosen = np.flatnonzero(lower[: K.size]).astype(np.int32)
+        to = places[: len(places) - m].astype(np.int32)
         entry_rows = (entries % (n + m)).astype(np.int32)
         signs = np.where(self.order < n, 1.0, -1.0)
-        self._arrays: FrontArrays = (*analysis, first, entry_rows, signs)
-
-    @property
-    def layout(self) -> tuple[Array, Array, FrontArrays]:
-        """Chosen entries of K (lower triangle), positions of these and of B, front arrays."""
-        return self._chosen, self._places, self._arrays
+        #: The fronts, with places of values of K and of B.
+        arrays = *analysis, first, entry_rows, signs, self.order, chosen, to
+        self.plan = FrontPlan(*arrays)
 
     def factor(self, terms: Terms, B: Array) -> Callable[..., Array | None] | None:
         """Return a solver for the sum K of at most three terms; None if a pivot has a wrong sign.
@@ -97,10 +94,10 @@ class Fronts:
         refined further; it returns None for a matrix so nearly singular that refinement does not
         converge.
         """
-        factors, failed = fronts_factor(terms, B, self._chosen, self._places, self._arrays)
+        factors, failed = self.plan.factor(terms, B)
 
         def solve(right: Array, enough: float = 0.0) -> Array | None:
-            x, residual = fronts_solve(factors, self._arrays, self.order, right, enough)
+            x, residual = self.plan.solve(factors, right, enough)
             return x if residual <= _UNREFINED else None
 
         return None if failed else solve
@@ -111,7 +108,7 @@ class Fronts:
         It is relative to the diagonal of K, and to rows of B of length one: row i of the matrix has
         an error of eps times this sum.
         """
-        _, growth = fronts_signs(terms, B, self._chosen, self._places, self._arrays, False)
+        _, growth = self.plan.signs(terms, B, False)
         return growth if growth < np.inf else None
 
     def negative(self, terms: Terms, B: Array) -> tuple[int, float]:
@@ -119,7 +116,7 @@ class Fronts:
 
         The growth is infinite where a pivot vanishes.
         """
-        return fronts_signs(terms, B, self._chosen, self._places, self._arrays, True)
+        return self.plan.signs(terms, B, True)
 
 
 def _places(order: Array) -> Array:

@@ -27,24 +27,31 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, final
+from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
 import scipy
 
 from ancfdae.errors.kinds import SingularMatrix
-from ancfdae.kernels import (
-    Factorise,
-    MatrixLayout,
-    band_factor,
-    band_solve,
-    ldl_factor,
-    ldl_solve,
-    narrow_order,
-)
+from ancfdae.kernels import Band, Envelope, FrontPlan, narrow_order
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.inertia import ConstrainedPattern, Fronts, Terms
 from ancfdae.numerics.patterns import SparsityPattern
+
+#: Factorises a matrix for a `Model`: of terms, each a number and values of K, whose sum counts, and
+#: of B it makes a function of a right side and whether the matrix is transposed; None if the matrix
+#: is singular.
+Factorise: TypeAlias = Callable[[Terms, Array], Callable[[Array, bool], Array] | None]
+
+
+class MatrixLayout(NamedTuple):
+    """Order and scale of the unknowns, and where values stand: in an envelope, a band or fronts."""
+
+    order: Array
+    scale: Array
+    envelope: Envelope | None
+    band: Band | None
+    fronts: FrontPlan | None = None
 
 
 def little_fill(pattern: SparsityPattern, constraint_pattern: SparsityPattern) -> Array:
@@ -196,16 +203,15 @@ class SaddlePoint:
         """
         if not self._in_band:
             return None
-        band_map = self._band.arrays if band or not self._envelope else None
-        envelope = self._envelope.arrays if self._envelope else None
-        return MatrixLayout(self._places.order, self.scale, envelope, band_map)
+        band_map = self._band.band if band or not self._envelope else None
+        return MatrixLayout(self._places.order, self.scale, self._envelope, band_map)
 
     def layout_out_of_band(self) -> MatrixLayout:
         """Return the layout of the matrix in fronts; without fronts unless K is symmetric."""
         if not self._symmetric:
             return MatrixLayout(np.arange(self.size), self.scale, None, None)
         fronts = self._places.fronts
-        return MatrixLayout(fronts.order, self.scale, None, None, fronts.layout)
+        return MatrixLayout(fronts.order, self.scale, None, None, fronts.plan)
 
     def exchanging(self, layout: MatrixLayout) -> Factorise | None:
         """Return a function that factorises where the layout stores no band or envelope."""
@@ -231,7 +237,7 @@ class SaddlePoint:
         Raises SingularMatrix as `factor` does.
         """
         if self._envelope:
-            factors = self._envelope.factor(terms, B)
+            factors = _factor_in_envelope(self._envelope, terms, B)
         else:
             factors = self._factor_by_fronts(terms, B)
         return factors or self._exchanging(terms, B)
@@ -294,9 +300,9 @@ class _Places:
         self.half_width = int(np.max(np.abs(self.rows - self.columns), initial=0))
 
     @cached_property
-    def envelope(self) -> _Envelope:
-        """Positions of the entries in an envelope (lower triangle, column by column)."""
-        return _Envelope(self.order, self.rows, self.columns, *self._sizes)
+    def envelope(self) -> Envelope:
+        """Indices of the entries in an envelope."""
+        return _envelope(self.order, self.rows, self.columns, *self._sizes)
 
     @cached_property
     def fronts(self) -> Fronts:
@@ -339,40 +345,28 @@ def _narrow(K: SparsityPattern, B: SparsityPattern) -> _Places:
     return places
 
 
-@final
-class _Envelope:
-    """L D L^T of symmetric K in envelope storage: columns of the lower triangle to their ends.
+def _envelope(order: Array, rows: Array, columns: Array, n: int, n_K: int, n_B: int) -> Envelope:
+    """Return L D L^T of symmetric K: the lower triangle, each column from its diagonal to its end.
 
-    A column ends with its last entry, but not before the end of the one to its left, so that the
-    factors fit into the same storage.
+    A column ends with its last entry, but not before the one to its left, so that the factors fill
+    the same places. Of the places of all entries those of B^T are left out.
     """
+    size = len(order)
+    lower = rows >= columns
+    lower[n_K : n_K + n_B], lower[n_K + n_B :] = True, False
+    row, column = rows[lower], columns[lower]
+    end = np.arange(size)
+    np.maximum.at(end, column, row)
+    starts = np.append(0, np.cumsum(np.maximum.accumulate(end) - np.arange(size) + 1))
+    first, chosen = starts.astype(np.int32), np.flatnonzero(lower[:n_K]).astype(np.int32)
+    signs = np.where(order < n, 1.0, -1.0)
+    return Envelope(first, chosen, first[column] + row - column, signs, order)
 
-    def __init__(
-        self, order: Array, rows: Array, columns: Array, n: int, n_K: int, n_B: int
-    ) -> None:
-        """Take rows and columns of all entries: of K, of B, and of B^T, which is left out."""
-        size = len(order)
-        lower = rows >= columns
-        lower[n_K : n_K + n_B], lower[n_K + n_B :] = True, False
-        row, column = rows[lower], columns[lower]
-        end = np.arange(size)
-        np.maximum.at(end, column, row)
-        first = np.append(0, np.cumsum(np.maximum.accumulate(end) - np.arange(size) + 1))
-        self._order, self._first = order, first.astype(np.int32)
-        self._chosen = np.flatnonzero(lower[:n_K]).astype(np.int32)
-        self._places = self._first[column] + row - column
-        self._signs = np.where(order < n, 1.0, -1.0)
 
-    @property
-    def arrays(self) -> tuple[Array, Array, Array, Array]:
-        """Starts of columns, chosen values of K, positions of K and B, signs of pivots."""
-        return self._first, self._chosen, self._places, self._signs
-
-    def factor(self, terms: Terms, B: Array) -> Factorization | None:
-        """Return the factorisation; None where a pivot has a wrong sign."""
-        factors, failed = ldl_factor(terms, B, self._chosen, self._places, self._first, self._signs)
-        known = factors, self._first, self._order
-        return None if failed else Factorization(lambda right, _: ldl_solve(*known, right.T).T)
+def _factor_in_envelope(envelope: Envelope, terms: Terms, B: Array) -> Factorization | None:
+    """Factorise; None where a pivot has not its sign."""
+    factors, failed = envelope.factor(terms, B)
+    return None if failed else Factorization(lambda right, _: envelope.solve(factors, right.T).T)
 
 
 def _balanced(scale: Array, n: int, of_B: float) -> Array:
@@ -383,26 +377,21 @@ def _balanced(scale: Array, n: int, of_B: float) -> Array:
 @final
 class _BandStorage(_Storage):
     def __init__(self, scale: Array, n: int, places: _Places) -> None:
-        self._scale, self._n, self._order = scale, n, places.order
-        self._half_width, self._flat = places.half_width, places.flat
+        self._scale, self._n = scale, n
         numbered = scale[places.order]
-        self._factors = numbered[places.rows] * numbered[places.columns]
-
-    @property
-    def arrays(self) -> tuple[int, Array, Array]:
-        """Half-width, positions of all values, and factors that scale them."""
-        return self._half_width, self._flat, self._factors
+        factors = numbered[places.rows] * numbered[places.columns]
+        #: Places of all values, and what scales them.
+        self.band = Band(places.half_width, places.flat, factors, places.order)
 
     def factor(self, K: Array, B: Array) -> Factorization:
-        size, half_width = len(self._order), self._half_width
-        lu, pivots, of_B, info = band_factor(K, B, self._factors, self._flat, size, half_width)
+        lu, pivots, of_B, info = self.band.factor(K, B)
         if info > 0:
-            raise SingularMatrix(f"zero pivot {info} of {size}")
+            raise SingularMatrix(f"zero pivot {info} of {len(pivots)}")
         if info < 0:
             raise SingularMatrix("the saddle-point matrix is not finite")
-        known = lu, pivots, half_width, self._order, _balanced(self._scale, self._n, of_B)
+        solve, known = self.band.solve, (lu, pivots, _balanced(self._scale, self._n, of_B))
         # Right-hand sides as rows of an array, one after the other in memory.
-        return Factorization(lambda right, turned: band_solve(*known, right.T, turned).T)
+        return Factorization(lambda right, turned: solve(*known, right.T, turned).T)
 
 
 @final

@@ -8,13 +8,16 @@ with a constant 0/1 matrix.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 import scipy
 
-from ancfdae.kernels import Csr, csr_rows
+from ancfdae.kernels import csr_rows
 from ancfdae.numerics.arrays import Array
+
+#: A matrix in compressed sparse rows: where rows begin, columns, values.
+Csr: TypeAlias = tuple[Array, Array, Array]
 
 
 @final

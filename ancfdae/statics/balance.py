@@ -19,10 +19,11 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem, require_no_controllers
+from ancfdae.equations.plans import Plan
 from ancfdae.equations.saddle_points import Prepared, saddle_point, solve, velocity_side
 from ancfdae.errors.kinds import InvalidInputError, SingularMatrix
 from ancfdae.errors.outcomes import Verdict
-from ancfdae.kernels import RULES, Plan, Rest, finite, norm
+from ancfdae.kernels import RULES, Rest, finite, norm
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 

@@ -78,6 +78,8 @@ def simulate(
     tolerance: float,
     observables: Sequence[Observable],
     at: Sequence[float] | Array | None = None,
+    events: Sequence[Event] | None = None,
+    modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
 ) -> ObservableEstimates: ...
 
@@ -136,7 +138,13 @@ def simulate(
     """
     system = as_system(model)
     if events is not None or modes is not None:
-        _require_alone("events", tolerance=tolerance, observables=observables)
+        if tolerance is not None:
+            _require_alone("tolerance", integrator=integrator, after=after, keep=keep)
+            from ancfdae.studies.accuracy.event_search import events_observed_within
+
+            model_with_events = system, t_end, events or (), modes
+            return events_observed_within(model_with_events, observables, at, tolerance, progress)
+        _require_alone("an integrator with events", observables=observables, at=at)
         from ancfdae.events.calls import EventRun
         from ancfdae.studies.events import simulated
 
@@ -373,22 +381,31 @@ def gradients(
     design, free_end = without_end(design)
     system = as_system(model, design) if free_end else differentiable(model, design)
     require_objectives(system, objectives, t_end)
+    if memory is not None and tolerance is None:
+        method = _limited(method, memory)
     if events is not None or modes is not None or free_end:
         what = "design with t_end" if free_end else "events"
-        _require_alone(what, tolerance=tolerance, after=after)
+        _require_alone(what, after=after)
+        if tolerance is not None:
+            _require_alone("tolerance", integrator=integrator, memory=memory)
+            from ancfdae.studies.accuracy.event_search import event_gradients_within
+
+            parts = system, t_end, events or (), modes
+            return event_gradients_within(
+                parts, objectives, tolerance, (design, free_end), method, progress
+            )
         from ancfdae.events.calls import EventRun
         from ancfdae.studies.events import gradients as gradients_with_events
 
         made = EventRun.of(
             system, t_end, integrator, events or (), modes, design, progress, free_end
         )
-        return gradients_with_events(made, objectives, _limited(method, memory))
+        return gradients_with_events(made, objectives, method)
     if tolerance is not None:
         _require_alone("tolerance", integrator=integrator, memory=memory, after=after)
         from ancfdae.studies.accuracy.search import gradients_within
 
         return gradients_within(system, objectives, t_end, tolerance, method, progress)
-    method = _limited(method, memory)
     if method is None:
         adjoint = isinstance(integrator, AdjointIntegrator)
         method = cheapest(system.n_b, len(objectives)) if adjoint else DirectDifferentiation()
@@ -404,10 +421,8 @@ def gradients(
     return found
 
 
-def _limited(method: GradientMethod | None, memory: str | float | None) -> GradientMethod | None:
+def _limited(method: GradientMethod | None, memory: str | float) -> Adjoint:
     """Return the adjoint method within a limit of memory, if given, otherwise the method."""
-    if memory is None:
-        return method
     if method is not None:
         rule, repair = "limits the adjoint method only", "Write method=Adjoint(memory=...)."
         raise InvalidInputError("memory", rule, f"method={method!r} too", repair)

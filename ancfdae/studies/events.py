@@ -27,9 +27,9 @@ from ancfdae.studies.parts import Keep, instants
 def simulated(run: EventRun, after: object = None, keep: Keep | None = None) -> EventSolution:
     """Return the run with events, continued from `after` if given.
 
-    The last phase of `after`, which no event ended, is integrated again, so that its steps equal
-    the steps of an uninterrupted run. With `keep`, phases store their ends and the chosen states
-    only.
+    The last phase of `after`, which no event ended, is integrated again, so that its steps
+    equal the steps of a run in one go. Phases hold all states, or their ends and
+    the states that `keep` names.
     """
     thin = None if keep is None else thinned(_kept(keep, run.t_end))
     if after is None:
@@ -98,7 +98,7 @@ def values(run: EventRun, objectives: Sequence[Objective]) -> tuple[EventSolutio
     """Return a finished run with events, and the values of objectives, shape (n,)."""
     require_reductions(objectives)
     phased = run.phased()
-    found = _reached(phased)
+    found = reached(phased)
     phases = states_of(phased)
     return found, np.array([value_of(objective, phases).real for objective in objectives])
 
@@ -106,7 +106,7 @@ def values(run: EventRun, objectives: Sequence[Objective]) -> tuple[EventSolutio
 def observed(run: EventRun, observable: Observable) -> tuple[EventSolution, Array]:
     """Return a finished run with events and an observable along all its phases, shape (n_t,)."""
     phased = run.phased()
-    found = _reached(phased)
+    found = reached(phased)
     nodes = along_phases(observable, states_of(phased))
     return found, np.concatenate([list(each.values())[-1] for each in nodes])
 
@@ -123,7 +123,7 @@ def measured(
     return solution, np.reshape([each.value for each in found], shape), slopes
 
 
-def _reached(phased: PhasedRun) -> EventSolution:
+def reached(phased: PhasedRun) -> EventSolution:
     """Return the solution of a run; UnfinishedRunError if it did not reach its end."""
     found = uninterrupted(solution(phased))
     if not phased.outcome.success:
@@ -141,7 +141,7 @@ def gradients(
         adjoint = isinstance(run.integrator, SteppedIntegrator) and not few
         method = Adjoint() if adjoint else DirectDifferentiation()
     phased, pairs = run.gradients(objectives, method)
-    found = _reached(phased)
+    found = reached(phased)
     last = replace(found.phases[-1], outcome=found.outcome)
     names = run.design_names
     return [

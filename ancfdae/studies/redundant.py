@@ -1,11 +1,11 @@
 """Redundant joint equations, which other equations imply, left out of a scene on request.
 
-Rows of Phi_q are scaled by the weights of the coordinates and to unit length; the columns of N are
-a basis of the combinations of rows that vanish (null space of the transpose). As many rows can be
-left out as N has columns, those whose rows of N form a regular matrix. They are chosen one after
-another by pivots: the length of a row of N orthogonal to the rows chosen before; the last row with
-a similar pivot is chosen. Directions of hinges are left out before positions of points, and never
-rows of rigid bodies, of driven joints and of formulas.
+Rows of Phi_q, scaled by the weights of the coordinates and to unit length, are combined to zero by
+the columns of N, a basis of the null space of the transpose. Rows may be left out together where
+their part of N is a regular matrix. As many as N has columns are chosen one after the other by
+pivots: the length of a row of N after its part along the rows chosen before is taken off. The last
+one of the rows with similar pivots is taken. Directions of hinges are left out before positions of
+points, and never rows of bodies that are rigid, of driven joints and of formulas.
 
 The remaining rows should be independent wherever the mechanism moves; they are dependent where the
 determinant of the chosen rows of N changes its sign. The determinant is computed along curves

@@ -21,7 +21,6 @@ from ancfdae import (
 )
 from ancfdae.errors import InvalidInputError, NotTracedWarning
 from ancfdae.extend import ExternalFunction, FormulaSystem
-from ancfdae.kernels import list_values
 from ancfdae.numerics.operations import Operations, Traced
 from ancfdae.observables import custom
 
@@ -245,7 +244,7 @@ def test_functions_of_several_numbers_and_values():
         number = operations.constant
         (first,) = operations.along(outputs, {0: number(d[0]), 1: number(d[1])})
         (second,) = operations.along(first, {0: number(e[0]), 1: number(e[1])})
-        values = [list_values(operations.compiled(y, [0, 1]), at) for y in (outputs, first, second)]
+        values = [operations.compiled(y, [0, 1]).values(at) for y in (outputs, first, second)]
         a, b = at
         H = np.array([[[0, np.exp(b)], [np.exp(b), a * np.exp(b)]], [[2 * b, 2 * a], [2 * a, 0]]])
         exact = [pair(*at), partials(*at) @ d, (H @ e) @ d]

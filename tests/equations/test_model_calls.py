@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ancfdae import assemble, kernels
+from ancfdae.equations.plans import Plan
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.equations.system import called_plan, planned
 from ancfdae.integrators.radau.stages import TABLEAU
@@ -82,7 +83,7 @@ def drivers(system, plan, dtype):
     return {
         "march": (*march, (1e-12, 0.5, 3)),
         "rest": (state, given, (joints[0], loads[0], loads[0]), rules),
-        "solve_stages": (coupled, (q, z, z, lam), x, lams, joints, loads, *numbers),
+        "solve_stages": (coupled, (q, z, z, lam), x, lams, joints, loads, numbers),
     }
 
 
@@ -99,7 +100,7 @@ def passes_over_stages(system, plan):
     n, m, k = system.n_q, system.n_lam, 3 * STEPS
     t, q, wide = 1e-3 * np.arange(1, k + 1), np.tile(system.start()[0], (k, 1)), n + m
     joints = np.ones((1, 1, 1)) if plan.joint_factors is None else plan.joint_factors(t, 2)
-    found = joints.copy(), plan.load_factors(t).copy(), q, np.ones((k, n)), np.ones((k, n))
+    found = (joints, plan.load_factors(t)), (q, np.ones((k, n)), np.ones((k, n)))
     K, B = np.ones((k, system.pattern.size)), system.constraints_q(t, q)
     M = np.array([system.mass(q[0])])
     f_v = K.copy() if system.traits.velocity_forces else None
@@ -123,7 +124,7 @@ def passes(system, plan):
     joints = np.ones((1, 1)) if plan.joint_factors is None else plan.joint_factors(t, 1)[0]
     rows = np.full(k, 1e-3), np.ones((k, n)), np.ones((k, n)), np.zeros((k, m)), joints.copy()
     local = np.ones((1, nnz)), np.ones((k, nnz)), np.ones((k, nnz)), np.ones((k, n_B))
-    if isinstance(plan, kernels.Plan):
+    if isinstance(plan, Plan):
         local = None
     elif not plan.velocity:
         local = (*local[:2], None, local[3])
@@ -134,8 +135,33 @@ def passes(system, plan):
     seeds = None, np.ones((k, n)), np.ones((k, m))
     return {
         "differentiate_steps": (steps, *out, 0),
-        "pull_back_steps": (steps, seeds, *on, k),
+        "pull_back_steps": (steps, seeds, on, k),
     }
+
+
+@pytest.mark.parametrize("kind", ["scene", "wide scene"])
+def test_spoiled_parts_of_a_plan_are_refused_or_used(kind):
+    system, rng = MAKE[kind](), random.Random(5)
+    matrices, plan = saddle_point(system, 0.0), planned(system)
+    layout = matrices.layout(band=True) or matrices.layout_out_of_band()
+    values = (((1.0, np.ones(system.pattern.size)),), np.ones(system.constraint_pattern.size))
+    objects = [plan.block, plan.constraints, *(x for x in layout[2:] if x is not None)]
+    refused = 0
+    for _ in range(CALLS):
+        kind, good = rng.choice(objects).__reduce__()
+        bad = spoiled(good, rng.choice(list(places(good))[1:]), rng)
+        try:
+            made = kind(*bad)
+            if isinstance(made, kernels.Envelope | kernels.FrontPlan):
+                factors, _ = made.factor(*values)
+                more = (0.0,) if isinstance(made, kernels.FrontPlan) else ()
+                made.solve(factors, np.ones(len(matrices.scale)), *more)
+            elif isinstance(made, kernels.Band):
+                lu, pivots, _, _ = made.factor(values[0][0][1], values[1])
+                made.solve(lu, pivots, matrices.scale, np.ones(len(matrices.scale)), False)
+        except (ValueError, TypeError, MemoryError):
+            refused += 1
+    assert CALLS / 3 < refused < CALLS
 
 
 @pytest.mark.parametrize("form", [planned, called_plan], ids=["as it is", "called"])

@@ -33,12 +33,10 @@ from ancfdae.integrators.problem import Accelerations, ListedAccelerations, acce
 from ancfdae.kernels import (
     RULES,
     STAGES_SOLVED,
+    ExplicitRun,
+    ListAccelerations,
     Model,
     OperationList,
-    explicit_march,
-    explicit_terms,
-    index_1,
-    list_values,
 )
 from ancfdae.numerics.complex_step import scaled_derivative
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
@@ -110,7 +108,7 @@ def traced(function, n):
 
 def evaluated(operations, outputs, x):
     inputs = range(len(x))
-    return list_values(operations.compiled(outputs, list(inputs)), np.asarray(x))
+    return operations.compiled(outputs, list(inputs)).values(np.asarray(x))
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
@@ -179,7 +177,7 @@ def test_arrays_of_numpy_are_traced_as_they_are_computed():
     # Rows of states: one, fewer and more than are evaluated together.
     rows = x + 0.01 * np.arange(19)[:, None]
     inputs = list(range(6))
-    values = list_values(operations.compiled(outputs, inputs), rows)
+    values = operations.compiled(outputs, inputs).values(rows)
     np.testing.assert_allclose(values, [flat(row) for row in rows], rtol=1e-13, atol=1e-14)
     # Columns of the Jacobian against complex steps of the function.
     units = [{i: operations.constant(1.0)} for i in inputs]
@@ -335,16 +333,16 @@ def test_lists_that_do_not_fit_are_refused(index):
     fine = OperationList(2, constants, op, a, b, to, *none)
     for x in (np.zeros(3), np.zeros((2, 1)), np.zeros(())):
         with pytest.raises(ValueError, match=r"number for each|too few axes"):
-            list_values(fine, x)
-    assert list_values(fine, np.zeros((0, 2))).shape == (0, 1)
+            fine.values(x)
+    assert fine.values(np.zeros((0, 2))).shape == (0, 1)
     # Inputs in parts: one row for all, and rows that must be equally many.
     parts = np.array([1.0]), np.array([[2.0], [3.0]])
-    whole = list_values(fine, np.array([[1.0, 2.0], [1.0, 3.0]]))
-    assert np.array_equal(list_values(fine, *parts), whole)
+    whole = fine.values(np.array([[1.0, 2.0], [1.0, 3.0]]))
+    assert np.array_equal(fine.values(*parts), whole)
     for wrong in ((np.ones((3, 1)), parts[1]), (np.ones(1),), (np.ones((2, 1, 1)), parts[1])):
         with pytest.raises(ValueError, match=r"equally many rows|for each input"):
-            list_values(fine, *wrong)
-    assert list_values(pickle.loads(pickle.dumps(fine)), np.array([1.0, 2.0])) == 3.0
+            fine.values(*wrong)
+    assert pickle.loads(pickle.dumps(fine)).values(np.array([1.0, 2.0])) == 3.0
 
 
 # ---- systems -----------------------------------------------------------------------------------
@@ -652,6 +650,11 @@ def test_what_has_no_accelerations_is_told():
     assert np.all(np.isfinite(ours.rows(0.0, q, v)))
 
 
+def found_at(x):
+    equations = ListAccelerations(x["lists"], x["b"], x["scale"])
+    return equations.at(x["projected"], x["t"], x["states"])
+
+
 @pytest.mark.parametrize("wrong", ["lists", "b", "scale", "t", "states", "stages"])
 def test_arguments_that_do_not_fit_are_refused(wrong):
     system = Elbow()
@@ -665,9 +668,9 @@ def test_arguments_that_do_not_fit_are_refused(wrong):
     if wrong == "stages":
         step = [np.zeros((18, 44)), np.zeros((16, 2, 11, 4)), np.zeros((16, 11, 6)), np.zeros(7)]
         tables = [np.zeros((16, 2, 18)), np.zeros((2, 2, 12)), np.zeros(16), np.zeros((4, 16))]
-        equations = tuple(arguments[x] for x in ("lists", "b", "scale"))
+        equations = ListAccelerations(*(arguments[x] for x in ("lists", "b", "scale")))
         # The dense output is at hand: no stage is evaluated.
-        terms = explicit_terms(equations, tuple(tables), tuple(step))
+        terms = ExplicitRun(equations, tuple(tables), tuple(step)).terms()
         assert np.array_equal(terms, np.zeros((7, 2, 11, 4)))
         for arrays in (step, tables):
             for i in range(len(arrays)):
@@ -676,37 +679,36 @@ def test_arguments_that_do_not_fit_are_refused(wrong):
                     for these in (tables, step)
                 ]
                 with pytest.raises(ValueError, match=r"fit|shape"):
-                    explicit_terms(equations, *short)
+                    ExplicitRun(equations, *short)
         kept = [np.zeros((2, 2)), np.zeros((2, 1, 2, 11, 4)), np.zeros((2, 1, 11, 2))]
         kept.append(np.zeros(1, dtype=np.int32))
         tolerances = [1e-3, np.ones((2, 11, 4)), np.zeros(4), 1]
-        fixed = equations, tuple(tables), tuple(step)
-        times = np.zeros(1)
-        *found, states = explicit_march(*fixed, tuple(tolerances), times, 1.0, 2, tuple(kept))
+        march, times = ExplicitRun(equations, tuple(tables), tuple(step)).march, np.zeros(1)
+        *found, states = march(tuple(tolerances), times, 1.0, 2, tuple(kept))
         # The time is the end of the step, and the state that after it.
         assert (found, states.shape) == ([0, 0], (1, 2, 11, 4))
         with pytest.raises(ValueError, match="a time to reach"):
-            explicit_march(*fixed, tuple(tolerances), np.zeros(0), 1.0, 2, tuple(kept))
+            march(tuple(tolerances), np.zeros(0), 1.0, 2, tuple(kept))
         for i, bad in ((1, np.ones((2, 11, 3))), (2, np.zeros(3)), (3, 3), (3, 0)):
             changed = (*tolerances[:i], bad, *tolerances[i + 1 :])
-            with pytest.raises(ValueError, match="tolerances do not fit"):
-                explicit_march(*fixed, changed, times, 1.0, 2, tuple(kept))
+            with pytest.raises(ValueError, match=r"fit|shapes"):
+                march(changed, times, 1.0, 2, tuple(kept))
         for i, bad in ((0, np.zeros((1, 2))), (1, np.zeros((2, 2, 2, 11, 4)))):
             changed = (*kept[:i], bad, *kept[i + 1 :])
-            with pytest.raises(ValueError, match="no room"):
-                explicit_march(*fixed, tuple(tolerances), times, 1.0, 2, changed)
+            with pytest.raises(ValueError, match=r"room|shapes|no such stage"):
+                march(tuple(tolerances), times, 1.0, 2, changed)
         beyond = (*kept[:3], np.full(1, 16, dtype=np.int32))
-        with pytest.raises(ValueError, match="no room"):
-            explicit_march(*fixed, tuple(tolerances), times, 1.0, 2, beyond)
+        with pytest.raises(ValueError, match=r"room|shapes|no such stage"):
+            march(tuple(tolerances), times, 1.0, 2, beyond)
         return
     lists = arguments["lists"]
     for projected in (False, True):
         good = dict.fromkeys(("lists", "b", "scale", "projected"), projected) | arguments
-        index_1(*good.values())
+        found_at(good)
         # Without derivatives three lists are enough.
         alone = {**good, "lists": system.index_1(False), "states": np.ones((2, 2, 1, 4))}
         assert len(alone["lists"]) == 3
-        index_1(*alone.values())
+        found_at(alone)
         bad = {
             "lists": [lists[:5], lists[::-1], lists[:3], (1,) * 6],
             "b": [system.b[:5], np.ones(11)],
@@ -716,7 +718,7 @@ def test_arguments_that_do_not_fit_are_refused(wrong):
         }[wrong]
         for value in bad:
             with pytest.raises(ValueError, match=r"fit|lists|tuples|time"):
-                index_1(*{**good, wrong: value}.values())
+                found_at({**good, wrong: value})
 
 
 # ---- steps in the kernel -----------------------------------------------------------------------
@@ -1147,7 +1149,7 @@ def test_calls_of_lists_that_do_not_fit_are_refused(change, told):
 
     def values(functions=(doubled,), **changed):
         indices = [np.array(x, np.int32) for x in (given | changed).values()]
-        return list_values(OperationList(2, np.zeros(0), *indices, functions), np.ones((19, 2)))
+        return OperationList(2, np.zeros(0), *indices, functions).values(np.ones((19, 2)))
 
     np.testing.assert_array_equal(values(), 2.0)
     with pytest.raises(ValueError, match=told):

@@ -42,7 +42,7 @@ class Oscillators(Accelerations):
 
     def for_kernel(self, rows):
         # As if there were multipliers: states are moved onto constraints.
-        return self._found, lambda t, state: state + self._moved, 1
+        return self._found, lambda t, state: state + self._moved
 
     def _found(self, t, state):
         if t > self._until:

@@ -370,8 +370,8 @@ def test_passes_go_on_where_a_matrix_is_not_positive_definite(integrator, monkey
         layout = layout_of(self, band)
         if layout.envelope is None:  # the coupled matrix of stages
             return layout
-        first, chosen, places, signs = layout.envelope
-        return layout._replace(envelope=(first, chosen, places, -signs))
+        kind, (first, chosen, places, signs, order) = layout.envelope.__reduce__()
+        return layout._replace(envelope=kind(first, chosen, places, -signs, order))
 
     layout_of = SaddlePoint.layout
     system = assemble(pendulum(), ["pendulum.density", "pendulum.height"])
@@ -397,6 +397,7 @@ def prepared_arguments():
 
 
 PLAN, LAYOUT, RULES = prepared_arguments()
+OTHER = saddle_point(assemble(crank_slider()), 0.0).layout(band=True)
 BROKEN = {
     "no plan": ((), LAYOUT, RULES),
     "rules": (PLAN, LAYOUT, RULES[1:]),
@@ -408,8 +409,9 @@ BROKEN = {
     "weights": (PLAN._replace(weights=np.ones(1)), LAYOUT, RULES),
     "order": (PLAN, LAYOUT._replace(order=LAYOUT.order + 1), RULES),
     "nothing to factorise": (PLAN, LAYOUT._replace(envelope=None, band=None), RULES),
-    "band": (PLAN, LAYOUT._replace(band=(1, *LAYOUT.band[1:])), RULES),
-    "envelope": (PLAN, LAYOUT._replace(envelope=LAYOUT.envelope[::-1]), RULES),
+    "band": (PLAN, LAYOUT._replace(band=OTHER.band), RULES),
+    "envelope": (PLAN, LAYOUT._replace(envelope=OTHER.envelope), RULES),
+    "a band for an envelope": (PLAN, LAYOUT._replace(envelope=LAYOUT.band), RULES),
     "inertia": (PLAN._replace(M=(PLAN.M[0][:-1], *PLAN.M[1:])), LAYOUT, RULES),
 }
 
@@ -455,9 +457,10 @@ def test_passes_take_only_what_fits_their_plan(spoilt):
         *steps, small, G, g, right, z, states, lam_b, on, mu, zeta, on_defects = (
             np.ones(x) for x in shapes.values()
         )
+        covectors = on, mu, zeta, on_defects
         packet = *steps, None, (small.astype(np.int32), G, g)
         assert model.differentiate_steps(packet, right, z, states, lam_b, 0)[0] == 4
-        assert model.pull_back_steps(packet, (None, mu, zeta), on, mu, zeta, on_defects, 4)[0] == 0
+        assert model.pull_back_steps(packet, (None, mu, zeta), covectors, 4)[0] == 0
 
     call(shapes)
     with pytest.raises(ValueError, match="shapes of a plan"):

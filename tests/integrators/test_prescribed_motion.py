@@ -191,7 +191,7 @@ STEADY = [
     HHT(0.01),
     HHT(0.05),
     HHT(rtol=1e-2),
-    IDA(1e-4),
+    IDA(1e-3),
     DOP853(1e-4),
 ]
 

@@ -7,6 +7,7 @@ for products of such sums. A wrong term shows at order one.
 import itertools
 import subprocess
 import sys
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -109,6 +110,18 @@ def sorted_pairs(pairs):
     return np.searchsorted(element, np.arange(4)), number, variable
 
 
+class Law(NamedTuple):
+    """Arguments of a block."""
+
+    A: np.ndarray
+    g_o: np.ndarray
+    bending: np.ndarray | None
+    tau: np.ndarray
+    vectors: np.ndarray
+    d: int
+    n_q: int
+
+
 class Case:
     """Three elements that share nodes, k instants."""
 
@@ -128,7 +141,8 @@ class Case:
             bending[1] = 0
         tau = numbers(rng, n, dtype)
         n_q = vectors.max() * d + d + 2  # and two numbers of others
-        self.block = kernels.Block(A, g_o, bending, tau, vectors, d, n_q)
+        self.given = Law(A, g_o, bending, tau, vectors, d, n_q)
+        self.block = kernels.Block(*self.given)
         self.R = map_of(vectors, d, n_q)
         self.q, self.v, self.u, self.z = numbers(rng, (4, self.k, n_q), dtype)
         # Chords of 10, so that no tangent vanishes, whose curvature has none.
@@ -152,38 +166,38 @@ class Case:
         return F.reshape(*F.shape[:-3], -1) @ self.R
 
     def law(self, x):
-        return np.einsum("egh,...eh->...eg", np.broadcast_to(self.block.A, (3, *[self.n_g] * 2)), x)
+        return np.einsum("egh,...eh->...eg", np.broadcast_to(self.given.A, (3, *[self.n_g] * 2)), x)
 
     def p(self, q, v):
-        Y, b = self.Y(q), self.block
+        Y, b = self.Y(q), self.given
         x = packed(Y, Y) / 2 - b.g_o
         if v is not None:
             x = x + b.tau[:, None] * packed(Y, self.Y(v))
         return self.law(x)
 
     def forces(self, q, v):
-        Y, b = self.Y(q), self.block.bending
+        Y, b = self.Y(q), self.given.bending
         F = product(self.p(q, v), Y)
         return self.lifted(F if b is None else F + bent(b, Y))
 
     def along(self, q, v, u, z, p_b=0):
         """Derivative of `forces` by the product rule."""
-        Y, U, tau = self.Y(q), self.Y(u), self.block.tau[:, None]
+        Y, U, tau = self.Y(q), self.Y(u), self.given.tau[:, None]
         x = packed(Y, U)
         if v is not None:
             x = x + tau * (packed(U, self.Y(v)) + packed(Y, self.Y(z)))
         change = self.law(x) + p_b
         F = product(change, Y) + product(self.p(q, v), U)
-        if self.block.bending is not None:
-            F = F + slope_at(lambda s: bent(self.block.bending, Y + s * U), F.dtype)
+        if self.given.bending is not None:
+            F = F + slope_at(lambda s: bent(self.given.bending, Y + s * U), F.dtype)
         return self.lifted(F)
 
     def totals(self, q, v, pairs):
         """The force, and its derivatives along rows with the stresses of pairs added."""
         Y, V = self.Y(q[0]), None if v is None else self.Y(v[0])
         A_b, rest_b, tau_b = self.law_b[:3]
-        x = packed(Y, Y) / 2 - self.block.g_o
-        x = x if v is None else x + self.block.tau[:, None] * packed(Y, V)
+        x = packed(Y, Y) / 2 - self.given.g_o
+        x = x if v is None else x + self.given.tau[:, None] * packed(Y, V)
         p_b, bent_b = (
             np.zeros((len(q), *x.shape[:1], *own), dtype=x.dtype)
             for own in (x.shape[1:], Y.shape[1:])
@@ -202,16 +216,16 @@ class Case:
 
     def bent_along(self, Y, e, bending_b):
         """Change of the bending force of element e along that of its stiffness and length."""
-        if self.block.bending is None:
+        if self.given.bending is None:
             return 0
-        own = np.broadcast_to(self.block.bending, (3, 2))[e]
+        own = np.broadcast_to(self.given.bending, (3, 2))[e]
         if own[0] == 0:
             return 0
         return slope_at(lambda s: bent((own + s * bending_b)[None], Y[None])[0], Y.dtype)
 
     def tangent(self, q, v, damping):
         """Values of the tangent of one instant, from columns; elements stand apart."""
-        b, values = self.block, np.zeros(self.size, dtype=q.dtype)
+        b, values = self.given, np.zeros(self.size, dtype=q.dtype)
         for e in range(3):
             own = (b.vectors[e][:, None] * self.d + np.arange(self.d)).ravel()
             alone = Case.__new__(Case)
@@ -219,7 +233,7 @@ class Case:
             alone.R = np.where(np.arange(len(self.R)) // (self.n_y * self.d) == e, self.R.T, 0).T
             if b.bending is not None:  # Others have no tangents to bend.
                 held = np.where(np.arange(3)[:, None] == e, b.bending, 0)
-                alone.block = b._replace(bending=held)
+                alone.given = b._replace(bending=held)
             units, zero = np.eye(b.n_q)[own].astype(q.dtype), np.zeros((len(own), b.n_q))
             directions = (zero, units) if damping else (units, zero)
             at = q, np.zeros_like(q) if damping else v
@@ -238,47 +252,47 @@ def _case(request):
 
 
 def test_relative_vectors_and_their_transpose(case):
-    close(kernels.relative(case.block, case.q), case.Y(case.q))
-    close(kernels.relative(case.block, case.q[0]), case.Y(case.q[0]))
-    close(kernels.lifted(case.block, case.F), case.lifted(case.F))
+    close(case.block.relative(case.q), case.Y(case.q))
+    close(case.block.relative(case.q[0]), case.Y(case.q[0]))
+    close(case.block.lifted(case.F), case.lifted(case.F))
     for q, F in zip(odd_layouts(case.q), odd_layouts(case.F), strict=True):
-        close(kernels.relative(case.block, q), case.Y(case.q))
-        close(kernels.lifted(case.block, F), case.lifted(case.F))
+        close(case.block.relative(q), case.Y(case.q))
+        close(case.block.lifted(F), case.lifted(case.F))
 
 
 def test_forces(case):
     q, v = case.q, case.v
-    close(kernels.forces(case.block, q, None), case.forces(q, None))
-    close(kernels.forces(case.block, q, v), case.forces(q, v))
-    close(kernels.forces(case.block, q[0], v[0]), case.forces(q[0], v[0]))
+    close(case.block.forces(q, None), case.forces(q, None))
+    close(case.block.forces(q, v), case.forces(q, v))
+    close(case.block.forces(q[0], v[0]), case.forces(q[0], v[0]))
     for other in odd_layouts(q):
-        close(kernels.forces(case.block, other, v), case.forces(q, v))
+        close(case.block.forces(other, v), case.forces(q, v))
 
 
 def test_forces_along_directions(case):
     q, v, u, z = case.q, case.v, case.u, case.z
-    close(kernels.forces_along(case.block, q, v, u, z), case.along(q, v, u, z))
-    one = kernels.forces_along(case.block, q[0], v[0], u, z)
+    close(case.block.forces_along(q, v, u, z), case.along(q, v, u, z))
+    one = case.block.forces_along(q[0], v[0], u, z)
     close(one, case.along(q[:1], v[:1], u, z))
-    close(kernels.forces_along(case.block, q, None, u, None), case.along(q, None, u, None))
+    close(case.block.forces_along(q, None, u, None), case.along(q, None, u, None))
 
 
 def test_force_totals(case):
     q, v, stiff = case.q, case.v, case.law_b[:2]
-    close(kernels.force_totals(case.block, q, v, *case.law_b), case.totals(q, v, case.pairs))
+    close(case.block.force_totals(q, v, case.law_b), case.totals(q, v, case.pairs))
     undamped = [pair for pair in case.pairs if pair[2] < len(stiff[0])]
     law_b = (*stiff, np.zeros(0), *sorted_pairs(undamped))
-    close(kernels.force_totals(case.block, q, None, *law_b), case.totals(q, None, undamped))
+    close(case.block.force_totals(q, None, law_b), case.totals(q, None, undamped))
     none = (stiff[0][:0], stiff[1][:0], np.zeros(0), *sorted_pairs([]))
-    close(kernels.force_totals(case.block, q[:1], v[:1], *none), case.forces(q[:1], v[:1]))
+    close(case.block.force_totals(q[:1], v[:1], none), case.forces(q[:1], v[:1]))
     for other in odd_layouts(q):
-        found = kernels.force_totals(case.block, other, v, *case.law_b)
+        found = case.block.force_totals(other, v, case.law_b)
         close(found, case.totals(q, v, case.pairs))
 
 
 def test_tangents(case):
     for damping, v in ((False, None), (False, case.v), (True, None)):
-        found = kernels.tangents(case.block, case.q, v, damping, case.index, case.size)
+        found = case.block.tangents(case.q, v, damping, case.index, case.size)
         at = [None] * case.k if v is None else v
         expected = [case.tangent(x, y, damping) for x, y in zip(case.q, at, strict=True)]
         close(found, np.array(expected))
@@ -289,7 +303,7 @@ def test_packed_matrices(case):
     close(kernels.strain(None, Y, U, None), packed(Y, U))
     close(kernels.strain(None, Y[0, 0], U[0, 0], None), packed(Y[0, 0], U[0, 0]))
     close(kernels.stressed(packed(Y, U), Y), product(packed(Y, U), Y))
-    g_o, tau = case.block.g_o, case.block.tau
+    g_o, tau = case.given.g_o, case.given.tau
     x = packed(Y, Y) / 2 - g_o
     close(kernels.strain(g_o, Y, None, None), x)
     close(kernels.strain(g_o, Y, U, tau), x + tau[:, None] * packed(Y, U))
@@ -302,9 +316,9 @@ def test_packed_matrices(case):
 def test_real_and_complex_arguments_mix():
     case, step = Case(7, 3, float), 1e-40
     q, v = case.q + 1j * step * case.u, case.v + 1j * step * case.z
-    F = kernels.forces(case.block, q, v)
-    close(F.imag / step, kernels.forces_along(case.block, case.q, case.v, case.u, case.z))
-    close(kernels.relative(case.block, q).imag / step, case.Y(case.u))
+    F = case.block.forces(q, v)
+    close(F.imag / step, case.block.forces_along(case.q, case.v, case.u, case.z))
+    close(case.block.relative(q).imag / step, case.Y(case.u))
     Y, other = case.Y(case.q), case.Y(q)
     for one, two in ((Y, other), (other, Y)):
         close(kernels.strain(None, one, two, None), packed(one, two))
@@ -313,26 +327,27 @@ def test_real_and_complex_arguments_mix():
 
 
 def test_nothing_is_nothing():
-    block = Case(7, 3, float).block
-    none = block._replace(
-        A=block.A[:0], g_o=block.g_o[:0], bending=None, tau=None, vectors=block.vectors[:0]
-    )
-    q, index = np.ones((2, block.n_q)), np.zeros((0, 576), dtype=np.int32)
-    assert kernels.relative(none, q).shape == (2, 0, 7, 3)
-    assert not kernels.forces(none, q, None).any()
-    assert not kernels.tangents(none, q, None, False, index, 4).any()
-    assert not kernels.lifted(none, np.zeros((2, 0, 7, 3))).any()
-    assert kernels.forces(block, q[:0], None).shape == (0, block.n_q)
-    assert kernels.forces_along(block, q[0], None, q[:0], None).shape == (0, block.n_q)
+    case = Case(7, 3, float)
+    A, g_o, *_, vectors, d, n_q = case.given
+    none = kernels.Block(A[:0], g_o[:0], None, None, vectors[:0], d, n_q)
+    q, index = np.ones((2, n_q)), np.zeros((0, 576), dtype=np.int32)
+    assert none.relative(q).shape == (2, 0, 7, 3)
+    assert not none.forces(q, None).any()
+    assert not none.tangents(q, None, False, index, 4).any()
+    assert not none.lifted(np.zeros((2, 0, 7, 3))).any()
+    assert case.block.forces(q[:0], None).shape == (0, n_q)
+    assert case.block.forces_along(q[0], None, q[:0], None).shape == (0, n_q)
     none = np.zeros((4, 0, 7, 3))
     assert kernels.strain(None, none, none, None).shape == (4, 0, 28)
     assert kernels.finite(np.zeros(0))
     assert kernels.norm(np.zeros(0), np.zeros(0)) == 0
     empty, zero = np.zeros(0), np.zeros(1, dtype=np.int32)
     assert kernels.csr_rows(zero, zero[:0], empty, np.ones(3), None).shape == (0,)
-    lu, pivots, _, info = kernels.band_factor(empty, empty, empty, empty.astype(int), 0, 0)
+    nothing = empty.astype(int)
+    band = kernels.Band(0, nothing, empty, nothing)
+    lu, pivots, _, info = band.factor(empty, empty)
     assert (lu.shape, info) == ((0, 1), 0)
-    assert kernels.band_solve(lu, pivots, 0, [], empty, np.zeros((2, 0)), False).shape == (2, 0)
+    assert band.solve(lu, pivots, empty, np.zeros((2, 0)), False).shape == (2, 0)
 
 
 # ---------------------------------------------------------------- linear algebra
@@ -408,7 +423,10 @@ class Band:
         self.flat = place[j] * (3 * self.half + 1) + 2 * self.half + place[i] - place[j]
 
     def factor(self):
-        return kernels.band_factor(self.K, self.B, self.factors, self.flat, 8, self.half)
+        return self.made().factor(self.K, self.B)
+
+    def made(self):
+        return kernels.Band(self.half, self.flat, self.factors, self.order)
 
 
 @pytest.mark.parametrize("dtypes", list(itertools.product(DTYPES, DTYPES)))
@@ -422,7 +440,7 @@ def test_banded_solutions(dtypes, right_dtype):
     for transposed in (False, True):
         expected = np.linalg.solve(band.dense.T if transposed else band.dense, right.T).T
         for other in (right, right[1], *odd_layouts(right)):
-            x = kernels.band_solve(lu, pivots, 4, band.order, scale, other, transposed)
+            x = band.made().solve(lu, pivots, scale, other, transposed)
             # Times the condition of the matrix, which is 30.
             assert np.allclose(
                 x, expected if other.ndim == 2 else expected[1], rtol=1e-11, atol=1e-11
@@ -486,15 +504,10 @@ class EnvelopeMatrix:
         self.dense[np.ix_(self.order, self.order)] = dense
 
     def factor(self):
-        arrays = (
-            ((0.25, self.K), (0.75, self.K)),
-            self.B,
-            self.chosen,
-            self.places,
-            self.first,
-            self.signs,
-        )
-        return kernels.ldl_factor(*arrays)
+        return self.made().factor(((0.25, self.K), (0.75, self.K)), self.B)
+
+    def made(self):
+        return kernels.Envelope(self.first, self.chosen, self.places, self.signs, self.order)
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
@@ -507,7 +520,7 @@ def test_solutions_of_symmetric_matrices(dtype, right_dtype):
         right = numbers(np.random.default_rng(rows), (rows, matrix.n), right_dtype)
         expected = np.linalg.solve(matrix.dense, right.T).T
         for other in (right, right[0], *odd_layouts(right)):
-            x = kernels.ldl_solve(factors, matrix.first, matrix.order, other)
+            x = matrix.made().solve(factors, other)
             known = expected if other.ndim == 2 else expected[0]
             assert np.allclose(x, known, rtol=1e-11, atol=1e-11)  # its condition is 30
             assert x.dtype == np.result_type(dtype, right_dtype)
@@ -531,8 +544,8 @@ def test_pivots_without_their_sign_are_told():
 def test_pivots_that_are_round_off_are_told(more, failed):
     K, first = np.array([1.0, 1.0, 1 + more]), np.array([0, 2, 3], np.int32)
     every = np.arange(3, dtype=np.int32)
-    found = kernels.ldl_factor(((1.0, K),), K[:0], every, every, first, np.ones(2))
-    assert found[1] == failed
+    envelope = kernels.Envelope(first, every, every, np.ones(2), np.arange(2))
+    assert envelope.factor(((1.0, K),), K[:0])[1] == failed
 
 
 # ---------------------------------------------------------------- what is refused
@@ -541,7 +554,7 @@ def test_pivots_that_are_round_off_are_told(more, failed):
 def _refused():
     """Wrong calls: each is one argument away from a right one."""
     case = Case(7, 3, float)
-    b, q, v, u, z = case.block, case.q, case.v, case.u, case.z
+    b, block, q, v, u, z = case.given, case.block, case.q, case.v, case.u, case.z
     n_q, wide = b.n_q, np.zeros((5, b.n_q + 3))
     far = b.vectors.copy()
     far[1, 2] = n_q // 3
@@ -561,11 +574,10 @@ def _refused():
         "n_q below": b._replace(n_q=-1),
         "n_q of float": b._replace(n_q=1.0),
         "not a block": tuple(b)[:-1],
-        "a list": list(b),
+        "one item more": (*b, 3),
     }
-    for name, block in blocks.items():
-        yield name, kernels.relative, (block, q)
-        yield name, kernels.forces, (block, q, v)
+    for name, wrong in blocks.items():
+        yield name, kernels.Block, tuple(wrong)
     laws = {
         "A of two": b._replace(A=b.A[:2]),
         "A of one": b._replace(A=b.A[:1]),
@@ -580,24 +592,22 @@ def _refused():
         "tau a number": b._replace(tau=np.array(0.1)),
         "A of objects": b._replace(A=b.A.astype(object)),
     }
-    for name, block in laws.items():
-        yield name, kernels.forces, (block, q, v)
-        yield name, kernels.forces_along, (block, q, v, u, z)
-        yield name, kernels.tangents, (block, q, v, False, case.index, case.size)
+    for name, wrong in laws.items():
+        yield name, kernels.Block, tuple(wrong)
     for name, bad in (("wide", wide), ("number", np.array(1.0)), ("text", "q"), ("none", None)):
-        yield f"q {name}", kernels.relative, (b, bad)
-        yield f"q {name}", kernels.forces, (b, bad, None)
-        yield f"q {name}", kernels.forces_along, (b, bad, None, u, None)
-        yield f"u {name}", kernels.forces_along, (b, q, None, bad, None)
-        yield f"q {name}", kernels.tangents, (b, bad, None, False, case.index, case.size)
-        yield f"F {name}", kernels.lifted, (b, bad)
-    yield "fewer v", kernels.forces, (b, q, v[:4])
-    yield "flat F", kernels.lifted, (b, case.F.reshape(5, -1))
-    yield "F of two", kernels.lifted, (b, case.F[:, :2])
-    yield "one v", kernels.forces_along, (b, q, v[0], u, z)
-    yield "two q", kernels.forces_along, (b, q[:2], v[:2], u, z)
-    yield "fewer z", kernels.forces_along, (b, q, v, u, z[:4], None)
-    yield "no z", kernels.forces_along, (b, q, v, u, None)
+        yield f"q {name}", block.relative, (bad,)
+        yield f"q {name}", block.forces, (bad, None)
+        yield f"q {name}", block.forces_along, (bad, None, u, None)
+        yield f"u {name}", block.forces_along, (q, None, bad, None)
+        yield f"q {name}", block.tangents, (bad, None, False, case.index, case.size)
+        yield f"F {name}", block.lifted, (bad,)
+    yield "fewer v", block.forces, (q, v[:4])
+    yield "flat F", block.lifted, (case.F.reshape(5, -1),)
+    yield "F of two", block.lifted, (case.F[:, :2],)
+    yield "one v", block.forces_along, (q, v[0], u, z)
+    yield "two q", block.forces_along, (q[:2], v[:2], u, z)
+    yield "fewer z", block.forces_along, (q, v, u, z[:4], None)
+    yield "no z", block.forces_along, (q, v, u, None)
     A_b, rest_b, tau_b, first, pairs, variables = case.law_b
     for name, law_b in {
         "A_b small": (A_b[:, :-1], *case.law_b[1:]),
@@ -619,10 +629,10 @@ def _refused():
         "variables fewer": (*case.law_b[:5], variables[1:]),
         "variables none": (*case.law_b[:5], None),
     }.items():
-        yield name, kernels.force_totals, (b, q, v, *law_b)
-    yield "tau_b without v", kernels.force_totals, (b, q, None, *case.law_b)
-    yield "fewer v", kernels.force_totals, (b, q, v[:4], *case.law_b)
-    yield "one row", kernels.force_totals, (b, q[:1], v[:1], *case.law_b)
+        yield name, block.force_totals, (q, v, law_b)
+    yield "tau_b without v", block.force_totals, (q, None, case.law_b)
+    yield "fewer v", block.force_totals, (q, v[:4], case.law_b)
+    yield "one row", block.force_totals, (q[:1], v[:1], case.law_b)
     for name, index in (
         ("short", case.index[:, :-1]),
         ("of two", case.index[:2]),
@@ -631,9 +641,9 @@ def _refused():
         ("int64", case.index.astype(np.int64)),
         ("none", None),
     ):
-        yield f"index {name}", kernels.tangents, (b, q, v, False, index, case.size)
+        yield f"index {name}", block.tangents, (q, v, False, index, case.size)
     for size in (0, -1, 1.5, None, 2**70):
-        yield f"size {size}", kernels.tangents, (b, q, v, False, case.index, size)
+        yield f"size {size}", block.tangents, (q, v, False, case.index, size)
     Y, x = case.Y(q), packed(case.Y(q), case.Y(q))
     yield "other U", kernels.strain, (None, Y, Y[:4], None)
     yield "no U", kernels.strain, (None, Y, None, None)
@@ -648,7 +658,7 @@ def _refused():
     yield "p small", kernels.stressed, (x[..., 1:], Y)
     yield "p of two", kernels.stressed, (x[:, :2], Y)
     yield "deep", kernels.stressed, (np.zeros((2, 6)), np.zeros((2, 3, 40)))
-    yield "axes", kernels.relative, (b, np.zeros((1,) * 63 + (n_q,)))
+    yield "axes", block.relative, (np.zeros((1,) * 63 + (n_q,)),)
     yield from _refused_in_linear_algebra()
 
 
@@ -693,77 +703,97 @@ def _refused_in_linear_algebra():
     yield from _refused_in_envelopes()
 
 
+def _spoiled(function, call, cases):
+    for name, at, bad in cases:
+        yield name, function, (*call[:at], bad, *call[at + 1 :])
+
+
 def _refused_in_bands():
-    band, half = Band(float), Band.half
-    K, B, factors, flat, order = band.K, band.B, band.factors, band.flat, band.order
-    yield "flat beyond", kernels.band_factor, (K, B, factors, flat + 40, 8, half)
-    yield "flat below", kernels.band_factor, (K, B, factors, flat - 10, 8, half)
-    yield "n small", kernels.band_factor, (K, B, factors, flat, 4, half)
-    yield "factors", kernels.band_factor, (K, B, factors[1:], flat, 8, half)
-    yield "fewer K", kernels.band_factor, (K[1:], B, factors, flat, 8, half)
-    for n, width in ((-1, half), (8, -1), (2**31, half), (8, 2**30), (8.0, half), (8, None)):
-        yield f"n {n} {width}", kernels.band_factor, (K, B, factors, flat, n, width)
+    band = Band(float)
+    K, B, half, flat, order = band.K, band.B, band.half, band.flat, band.order
+    yield from _spoiled(
+        kernels.Band,
+        (half, flat, band.factors, order),
+        (
+            ("flat beyond", 1, flat + 40),
+            ("flat below", 1, flat - 10),
+            ("factors", 2, band.factors[1:]),
+            *((f"half {x}", 0, x) for x in (half - 1, -1, 2**30, 2**31, 4.0, None)),
+            ("order beyond", 3, order + 1),
+            ("order below", 3, order - 1),
+            ("order few", 3, order[1:]),
+        ),
+    )
+    yield "fewer K", band.made().factor, (K[1:], B)
     lu, pivots, *_ = band.factor()
     right = np.ones((2, 8))
-    right_call = (lu, pivots, half, order, band.scale, right, False)
-    for name, at, bad in (
-        ("lu turned", 0, lu.T),
-        ("lu flat", 0, lu.ravel()),
-        ("pivots few", 1, pivots[1:]),
-        ("pivot zero", 1, pivots * 0),
-        ("pivot beyond", 1, pivots + 8),
-        ("half", 2, half + 1),
-        ("half below", 2, -1),
-        ("order beyond", 3, order + 1),
-        ("order below", 3, order - 1),
-        ("order few", 3, order[1:]),
-        ("scale", 4, band.scale[1:]),
-        ("right", 5, right[:, 1:]),
-        ("a number", 5, np.array(1.0)),
-        ("none", 5, None),
-    ):
-        yield name, kernels.band_solve, (*right_call[:at], bad, *right_call[at + 1 :])
+    yield from _spoiled(
+        band.made().solve,
+        (lu, pivots, band.scale, right, False),
+        (
+            ("lu turned", 0, lu.T),
+            ("lu flat", 0, lu.ravel()),
+            ("pivots few", 1, pivots[1:]),
+            ("pivot zero", 1, pivots * 0),
+            ("pivot beyond", 1, pivots + 8),
+            ("scale", 2, band.scale[1:]),
+            ("right", 3, right[:, 1:]),
+            ("a number", 3, np.array(1.0)),
+            ("none", 3, None),
+        ),
+    )
 
 
 def _refused_in_envelopes():
     m = EnvelopeMatrix(float)
-    call = (((1.0, m.K),), m.B, m.chosen, m.places, m.first, m.signs)
     late = m.first + 1
-    for name, at, bad in (
-        ("fewer K", 0, ((1.0, m.K[:-1]),)),
-        ("terms of two sizes", 0, ((1.0, m.K), (1.0, m.K[1:]))),
-        ("no terms", 0, ()),
-        ("no number", 0, ((m.K, 1.0),)),
-        ("a list", 0, [(1.0, m.K)]),
-        ("more B", 1, np.append(m.B, 1.0)),
-        ("chosen beyond", 2, m.chosen + 1),
-        ("chosen below", 2, m.chosen - 2),
-        ("places beyond", 3, m.places + 1),
-        ("places below", 3, m.places - 1),
-        ("places few", 3, m.places[1:]),
-        ("first late", 4, late),
-        ("first falls", 4, m.first[::-1]),
-        ("columns in disorder", 4, np.concatenate([m.first[:1], m.first[1:2] + 4, m.first[2:]])),
-        ("column too long", 4, np.append(m.first[:-1], m.first[-1:] + 1)),
-        ("first empty", 4, m.first[:0]),
-        ("first a table", 4, m.first[None]),
-        ("signs few", 5, m.signs[1:]),
-        ("none", 0, None),
-    ):
-        yield name, kernels.ldl_factor, (*call[:at], bad, *call[at + 1 :])
-    factors, _ = m.factor()
-    call = (factors, m.first, m.order, np.ones((2, m.n)))
-    for name, at, bad in (
-        ("factors few", 0, factors[1:]),
-        ("first", 1, late),
-        ("order beyond", 2, m.order + 1),
-        ("order below", 2, m.order - 1),
-        ("order few", 2, m.order[1:]),
-        ("right", 3, np.ones((2, m.n - 1))),
-        ("a number", 3, np.array(1.0)),
-        ("none", 3, None),
-    ):
-        yield name, kernels.ldl_solve, (*call[:at], bad, *call[at + 1 :])
+    yield from _spoiled(
+        kernels.Envelope,
+        (m.first, m.chosen, m.places, m.signs, m.order),
+        (
+            ("chosen below", 1, m.chosen - 2),
+            ("places beyond", 2, m.places + 1),
+            ("places below", 2, m.places - 1),
+            ("first late", 0, late),
+            ("first falls", 0, m.first[::-1]),
+            ("in disorder", 0, np.concatenate([m.first[:1], m.first[1:2] + 4, m.first[2:]])),
+            ("column too long", 0, np.append(m.first[:-1], m.first[-1:] + 1)),
+            ("first empty", 0, m.first[:0]),
+            ("signs few", 3, m.signs[1:]),
+            ("order beyond", 4, m.order + 1),
+            ("order below", 4, m.order - 1),
+            ("order few", 4, m.order[1:]),
+            ("none", 0, None),
+        ),
+    )
+    terms = ((1.0, m.K),)
+    for name, at, bad in (("chosen beyond", 1, m.chosen + 1), ("places few", 2, m.places[1:])):
+        call = (m.first, m.chosen, m.places, m.signs, m.order)
+        wrong = kernels.Envelope(*call[:at], bad, *call[at + 1 :])
+        yield name, wrong.factor, (terms, m.B)
+    yield from _spoiled(
+        m.made().factor,
+        (terms, m.B),
+        (
+            ("fewer K", 0, ((1.0, m.K[:-1]),)),
+            ("terms of two sizes", 0, ((1.0, m.K), (1.0, m.K[1:]))),
+            ("no terms", 0, ()),
+            ("no number", 0, ((m.K, 1.0),)),
+            ("a list", 0, [(1.0, m.K)]),
+            ("more B", 1, np.append(m.B, 1.0)),
+            ("none", 0, None),
+        ),
+    )
+    yield from _spoiled(
+        m.made().solve,
+        (m.factor()[0], np.ones((2, m.n))),
+        (
+            ("factors few", 0, m.factor()[0][1:]),
+            ("right", 1, np.ones((2, m.n - 1))),
+            ("a number", 1, np.array(1.0)),
+            ("none", 1, None),
+        ),
+    )
 
 
 def refused(function, arguments):
@@ -781,16 +811,14 @@ def test_wrong_arguments_are_refused():
 
 def test_arguments_are_let_go():
     case = Case(7, 3, float)
-    held = [case.q, case.block.A, case.index]
+    held = [case.q, case.given.A, case.index]
     counts = [sys.getrefcount(x) for x in held]
     for _ in range(3):
-        kernels.forces(case.block, case.q, case.q)
-        kernels.tangents(case.block, case.q, None, False, case.index, case.size)
+        case.block.forces(case.q, case.q)
+        case.block.tangents(case.q, None, False, case.index, case.size)
         with pytest.raises(ValueError, match="index"):
-            kernels.tangents(case.block, case.q, None, False, case.index, 1)
-        assert sys.getrefcount(kernels.relative(case.block, case.q)) == 1 + (
-            sys.version_info < (3, 14)
-        )
+            case.block.tangents(case.q, None, False, case.index, 1)
+        assert sys.getrefcount(case.block.relative(case.q)) == 1 + (sys.version_info < (3, 14))
     assert [sys.getrefcount(x) for x in held] == counts
 
 
@@ -800,12 +828,13 @@ def test_scipy_with_wider_integers_is_refused():
 import sys, types
 import numpy as np
 import scipy.linalg.cython_lapack as real
-from ancfdae.kernels import band_factor
+from ancfdae.kernels import Band
 wide = types.ModuleType("scipy.linalg.cython_lapack")
 wide.__pyx_capi__ = {"dgbtrf": real.__pyx_capi__["dgbtrs"]}
 sys.modules["scipy.linalg.cython_lapack"] = wide
 try:
-    band_factor(np.ones(1), np.ones(0), np.ones(1), np.zeros(1, dtype=int), 1, 0)
+    zero, one = np.zeros(1, dtype=int), np.ones(1)
+    Band(0, zero, one, zero).factor(one, one[:0])
 except ImportError as error:
     assert "32-bit integers" in str(error), error
 else:

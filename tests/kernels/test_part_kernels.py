@@ -118,11 +118,11 @@ def test_loads_are_what_their_formulas_say(case):
         )
         x, dx = rng.normal(size=(2, 2, item.factors(np.zeros(1), 0).shape[1]))
         still, dense = 0 * q, system.pattern.dense
-        by_q, by_v = (kernels.load_tangents(plan, x, q, v, which) for which in (False, True))
+        by_q, by_v = (plan.tangents(x, q, v, which) for which in (False, True))
         pairs = [
-            (kernels.load_forces(plan, x, q, v), called(item, x, q, v)),
+            (plan.forces(x, q, v), called(item, x, q, v)),
             (
-                kernels.load_forces_along(plan, x, dx, q, v, dq, dv),
+                plan.forces_along(x, dx, q, v, dq, dv),
                 along(item, x, dx, q, v, dq, dv),
             ),
             (times(map(dense, by_q), dq), along(item, x, 0 * x, q, v, dq, still)),
@@ -184,10 +184,10 @@ def test_derivatives_of_every_operation_are_those_of_its_formula(function):
         return item.vectors.lift(plain(U + 1j * STEP * dU, V + 1j * STEP * dV).imag / STEP)
 
     one = np.ones((1, 1))
-    close(kernels.load_forces(plan, one, q, v), item.vectors.lift(plain(U, V)))
-    close(kernels.load_forces_along(plan, one, 0 * one, q, v, dq, dv), rate(dU, dV))
+    close(plan.forces(one, q, v), item.vectors.lift(plain(U, V)))
+    close(plan.forces_along(one, 0 * one, q, v, dq, dv), rate(dU, dV))
     for velocity, direction in enumerate((dq, dv)):
-        (tangent,) = kernels.load_tangents(plan, one, q, v, bool(velocity))
+        (tangent,) = plan.tangents(one, q, v, bool(velocity))
         rates = [np.zeros_like(U), np.zeros_like(U)]
         rates[velocity] = item.vectors.of(direction)
         close(system.pattern.dense(tangent) @ direction[0], rate(*rates)[0])
@@ -214,9 +214,7 @@ def test_indices_that_do_not_fit_are_no_plan(change):
     again = pickle.loads(pickle.dumps(plan))
     factors = system._constraints.factors.at(0.2)
     q = system.start()[0]
-    same = (
-        kernels.constraints(x, kernels.Constraints.RATE, factors, None, q) for x in (plan, again)
-    )
+    same = (x.evaluate(kernels.Constraints.RATE, factors, None, q) for x in (plan, again))
     assert np.array_equal(*same)
     for number, array in enumerate(arguments[0]):
         if np.size(array):

@@ -46,6 +46,7 @@ from ancfdae.observables import (
     rope_tension,
     velocity,
 )
+from ancfdae.results import Verdict
 
 G = 9.81
 
@@ -426,6 +427,44 @@ def test_a_run_ends_in_words_where_the_rope_leaves_a_pulley(integrator):
     assert run.position(load.origin)[-1, 1] < 0.5
 
 
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize(
+    "integrator",
+    [HHT(0.01), HHT(0.4), HHT(rtol=1e-5), Radau(0.03), Radau(rtol=1e-6), IDA(1e-6), DOP853(1e-6)],
+    ids=repr,
+)
+def test_a_run_ends_in_words_where_an_end_of_a_slack_rope_flies_into_its_pulley(integrator, d):
+    """The load flies past the centre at 0.01 m, from 1 m at 1 m/s, and would enter after 0.9005 s.
+
+    Long steps pass the pulley altogether.
+    """
+    load = body("load", (1.0, 0.01, 0.0)[:d], 1.0)
+    axis = {} if d == 2 else {"axis": (0.0, 0.0, 1.0)}
+    pulley = Pulley((0.0,) * d, 0.1, clockwise=True, **axis)
+    start = (-1.0, -0.2, 0.0)[:d]
+    rope = Rope(start, load.origin, [pulley], stiffness=1e3, length=5.0, name="rope")
+    spin, velocity = (0.0 if d == 2 else (0.0, 0.0, 0.0)), (-1.0, 0.0, 0.0)[:d]
+    flight = [InitialVelocity("load", spin, about=(0.0,) * d, velocity=velocity)]
+    run = simulate(Scene([], [], loads=[rope], bodies=[load], start=flight), 2.0, integrator)
+    assert run.outcome.verdict is Verdict.OFF_ROUTE
+    assert "takes pulley_0 and end of load 'rope' so near to each other" in str(run.outcome)
+    assert run.t[-1] < 1 - np.sqrt(0.1**2 - 0.01**2)
+
+
+@pytest.mark.parametrize(("rise", "enters"), [(0.15, False), (0.25, True)])
+@pytest.mark.parametrize("integrator", [HHT, Radau])
+def test_a_place_that_enters_a_pulley_and_returns_within_a_step_is_seen(integrator, rise, enters):
+    """A load is thrown up from 0.2 m below the pulley and is back after one step."""
+    load = body("load", (0.0, -0.3), 1.0)
+    pulley = Pulley((0, 0), 0.1, clockwise=True)
+    rope = Rope((-1, -0.2), load.origin, [pulley], stiffness=1e3, length=5.0)
+    speed = np.sqrt(2 * G * rise)
+    up = [InitialVelocity("load", 0.0, about=(0.0, 0.0), velocity=(0.0, speed))]
+    scene = Scene([], [], (0, -G), loads=[rope], bodies=[load], start=up)
+    run = simulate(scene, 2 * speed / G, integrator(2 * speed / G))
+    assert run.outcome.verdict is (Verdict.OFF_ROUTE if enters else Verdict.FINISHED)
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [
@@ -468,7 +507,7 @@ def test_a_scene_refuses_pulleys_that_the_rope_does_not_touch():
         Scene(bodies=[a], loads=[Rope(a.origin, (1, -1), **good)])
     for pulley, words in (
         (Pulley((0, 0), 0.1), "leaves pulley 0"),
-        (Pulley((0, 0), 5.0, clockwise=True), "leaves pulley 0"),
+        (Pulley((0, 0), 5.0, clockwise=True), "no tangent"),
         (Pulley((0, 0, 0), 0.1, clockwise=True), "components"),
         (Pulley((0, 0), 0.1, clockwise=True, axis=(0, 0, 1)), "axis"),
     ):

@@ -51,6 +51,7 @@ from ancfdae.observables import (
     slide_speed,
     strain_energy,
 )
+from ancfdae.results import Verdict
 from ancfdae.sections import Circle
 
 G = 9.81
@@ -382,6 +383,24 @@ def test_a_run_ends_in_words_where_the_guide_leaves_the_beam(integrator):
     # The last step that is kept ends on the beam, within a step of its end.
     assert travel[-1] <= 1.8
     assert run.t[-1] < np.sqrt(2 * 1.8 / (G * np.sin(0.3) * MASS / (MASS + ROLLING)))
+
+
+@pytest.mark.parametrize(
+    "integrator", [HHT(2.0), Radau(2.0), Radau(rtol=1e-6), DOP853(1e-6)], ids=repr
+)
+@pytest.mark.parametrize(("fraction", "leaves"), [(0.4, True), (0.6, False)])
+def test_a_guide_that_leaves_and_returns_within_a_step_is_seen(integrator, fraction, leaves):
+    """A bead thrown up a wire of 2 m turns 1 m higher and comes back: the run may be one step."""
+    pull = G * np.sin(0.3) * MASS / (MASS + ROLLING)
+    speed = np.sqrt(2 * pull)
+    scene = wire(fraction=fraction, speed=-speed)
+    velocity = (-speed * np.cos(0.3), speed * np.sin(0.3))
+    thrown = [InitialVelocity("bead", 0.0, about=(0.0, 0.0), velocity=velocity)]
+    run = simulate(replace(scene, start=thrown), 2 * speed / pull, integrator)
+    assert run.outcome.success is not leaves
+    if leaves:
+        assert run.outcome.verdict is Verdict.OFF_ROUTE
+        assert "beyond the start of beam 'rod'" in str(run.outcome)
 
 
 def test_an_event_ends_a_run_before_the_end_of_the_beam():

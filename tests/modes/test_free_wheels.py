@@ -62,10 +62,12 @@ def arm(d, elements, units, *, wheel=True, damped=False, follower=False, hung=Fa
     return Scene([beam], joints, bodies=bodies, loads=loads)
 
 
-@pytest.mark.parametrize("units", UNITS)
 @pytest.mark.parametrize("follower", [False, True])
 @pytest.mark.parametrize("damped", [False, True])
-@pytest.mark.parametrize(("d", "elements"), [(2, 4), (2, 40), (3, 4), (3, 12)])
+@pytest.mark.parametrize(
+    ("d", "elements", "units"),
+    [*((d, 4, units) for d in (2, 3) for units in UNITS), (2, 40, UNITS[3]), (3, 12, UNITS[4])],
+)
 def test_a_free_wheel_is_a_point_mass(d, elements, damped, follower, units):
     free = 1 if d == 2 else 3
     given = {"damped": damped, "follower": follower}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ancfdae.extend import ExternalFunction
-from ancfdae.kernels import OperationTrace, list_values
+from ancfdae.kernels import OperationTrace
 from ancfdae.numerics.arrays import STEP
 from ancfdae.numerics.operations import Operations, Traced
 
@@ -52,7 +52,7 @@ def test_first_and_second_derivatives_are_complex_steps(name):
     one = operations.constant(1.0)
     first = operations.along(output, {0: one}, {1: one})
     numbers = np.array([output, *first, *operations.along(np.stack(first), {0: one})[0]])
-    value, *slopes = list_values(operations.compiled(numbers, range(2)), PLACE)
+    value, *slopes = operations.compiled(numbers, range(2)).values(PLACE)
     assert value == pytest.approx(formula(*PLACE), rel=1e-14)
 
     def slope(i, x):
@@ -65,7 +65,7 @@ def test_first_and_second_derivatives_are_complex_steps(name):
     assert slopes[2:] == pytest.approx(second, rel=1e-6, abs=1e-8)
     backwards = operations.partials(int(output))
     numbers = np.array([backwards.get(i, operations.constant(0.0)) for i in range(2)])
-    by_partials = list_values(operations.compiled(numbers, range(2)), PLACE)
+    by_partials = operations.compiled(numbers, range(2)).values(PLACE)
     assert by_partials == pytest.approx(expected, rel=1e-13, abs=1e-14)
 
 

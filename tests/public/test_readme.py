@@ -144,7 +144,7 @@ def calls(folder: Path) -> list[str]:
     return record.read_text().splitlines() if record.exists() else []
 
 
-CHECKS = ["ruff check .", "ruff format --check .", "mypy", "lint-imports"]
+CHECKS = ["ruff check .", "ruff format --check .", "lint-imports", "mypy"]
 
 
 def test_ci_runs_the_test_command_of_the_readme_and_then_the_checks(tmp_path: Path) -> None:
@@ -152,7 +152,7 @@ def test_ci_runs_the_test_command_of_the_readme_and_then_the_checks(tmp_path: Pa
     done = run_ci(checkout(tmp_path, command))
     assert done.returncode == 0, done.stderr
     assert calls(tmp_path) == ["threads 1 1", "a b", *CHECKS]
-    assert len(re.findall(r"^(?:\w+: )?== .+ passed in \d+ s$", done.stdout, re.MULTILINE)) == 15
+    assert len(re.findall(r"^(?:\w+: )?== .+ passed in \d+ s$", done.stdout, re.MULTILINE)) == 16
     assert "the tests of IDAS ran with the others" in done.stdout
 
 
@@ -163,7 +163,7 @@ def test_ci_fails_with_the_test_command(tmp_path: Path) -> None:
     assert "test command of README.md failed" in done.stderr
 
 
-@pytest.mark.parametrize(("tool", "made"), [("ruff", 1), ("mypy", 3), ("lint-imports", 4)])
+@pytest.mark.parametrize(("tool", "made"), [("ruff", 1), ("lint-imports", 3), ("mypy", 4)])
 def test_ci_fails_with_each_check(tmp_path: Path, tool: str, made: int) -> None:
     folder = checkout(tmp_path, "true")
     (folder / f"break-{tool}").touch()

@@ -309,7 +309,8 @@ def of_rubbing(coulomb, smooth_speed, at):
         return [v, v_k, v_c, a, a_k, -RUB * x_c - level - slope * v_c]
 
     known = {"t_eval": at, "rtol": 1e-11, "atol": 1e-13, "max_step": 0.01}
-    x, x_k, x_c = scipy.integrate.solve_ivp(rates, (0, at[-1]), np.zeros(6), "DOP853", **known).y[
+    # Friction that turns within 1e-5 m/s is stiff.
+    x, x_k, x_c = scipy.integrate.solve_ivp(rates, (0, at[-1]), np.zeros(6), "LSODA", **known).y[
         :3
     ]
     return x, x_k * RUB, x_c * coulomb

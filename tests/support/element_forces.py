@@ -36,7 +36,7 @@ def in_Y(Q, Y):
 
 def force(A, g_o, Y, V=None, tau=None, bending=None):
     own = own_block(A, g_o, Y, tau, bending)
-    return in_Y(kernels.forces(own, coordinates(Y), None if V is None else coordinates(V)), Y)
+    return in_Y(own.forces(coordinates(Y), None if V is None else coordinates(V)), Y)
 
 
 def force_partial(law, partial, Y, V=None, tau=None):
@@ -46,7 +46,7 @@ def force_partial(law, partial, Y, V=None, tau=None):
     own = own_block(A, g_o, Y, tau, bending)
     rest_b = np.concatenate([partial.g_o, partial.bending], axis=1)
     pairs = np.zeros(0), np.arange(n + 1), np.arange(n), np.zeros(n, dtype=int)
-    rows = kernels.force_partials(own, *states, None, partial.A, rest_b, *pairs, 1)
+    rows = own.force_partials(*states, None, (partial.A, rest_b, *pairs), 1)
     return in_Y(rows.reshape(states[0].shape), Y)
 
 
@@ -54,8 +54,8 @@ def force_rate(A, g_o, Y, V, Z, tau=None, bending=None):
     own = own_block(A, g_o, Y, tau, bending)
     q, v, a = map(coordinates, (Y, V, Z))
     if tau is None:
-        return in_Y(kernels.forces_along(own, q, None, v[None], None)[0], Y)
-    return in_Y(kernels.forces_along(own, q, v, v[None], a[None])[0], Y)
+        return in_Y(own.forces_along(q, None, v[None], None)[0], Y)
+    return in_Y(own.forces_along(q, v, v[None], a[None])[0], Y)
 
 
 def tangent(A, g_o, Y, V=None, tau=None, bending=None):
@@ -72,7 +72,7 @@ def _tangent(own, Y, V, damping):
     size, second = (n_y + 1) * d, (n_y + 1) // 2
     index = np.arange(n * size**2, dtype=np.int32).reshape(n, -1)
     v = None if V is None else coordinates(V)
-    values = kernels.tangents(own, coordinates(Y), v, damping, index, index.size)
+    values = own.tangents(coordinates(Y), v, damping, index, index.size)
     nodes = values.reshape(*Y.shape[:-2], n_y + 1, d, n_y + 1, d)
     kept = [second, *(a for a in range(n_y + 1) if a not in (0, second))]
     K = nodes[..., kept, :, :, :][..., kept, :]

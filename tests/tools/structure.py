@@ -17,7 +17,7 @@ from tests.tools.call_path import ROOT, passed, run
 
 # Files of the kernels that hold neither a formula nor an algorithm.
 _BORDER: Final = re.compile(
-    r"(kernels\.cpp|binding\w*\.h|\w*calls\w*\.h|_kernels\.pyi|__init__\.py)"
+    r"(kernels\.cpp|binding\w*\.h|\w*calls\w*\.h|__init__\.py)"
 )
 
 
@@ -50,7 +50,7 @@ def table() -> list[tuple[str, str]]:
     rows: list[tuple[str, object]] = [
         ("lines of Python", _lines(python)),
         ("lines of C++", _lines(kernels)),
-        ("of these, border between Python and C++, with stubs", _lines(border)),
+        ("of these, border between Python and C++", _lines(border)),
         ("files of Python", len(python)),
         ("of these, imported by one file at most", sum(importers[name] <= 1 for name in dotted)),
         ("classes", sum(isinstance(x, ast.ClassDef) for x in nodes)),

@@ -80,7 +80,7 @@ def _streamed(system: MechanicalSystem, run: Solution) -> float:
     layout = saddle_point(system, 0.0).layout(band=False)
     assert layout is not None
     assert layout.envelope is not None
-    numbers = _PASSES_OF_VALUES * system.pattern.size + _PASSES_OF_ENVELOPE * layout.envelope[0][-1]
+    numbers = _PASSES_OF_VALUES * system.pattern.size + _PASSES_OF_ENVELOPE * layout.envelope.size()
     from_here, to_there = np.ones(2**24), np.zeros(2**24)
     copied = seconds(lambda: np.copyto(to_there, from_here), 5) / (2 * len(to_there))
     return float(numbers * copied * run.statistics.iterations / run.statistics.steps)

@@ -26,6 +26,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.plans import Plan
 from ancfdae.equations.saddle_points import Prepared
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import Verdict
@@ -43,7 +44,7 @@ from ancfdae.integrators.hht.equations import (
 )
 from ancfdae.integrators.integrator import OnStates, Seeds
 from ancfdae.integrators.problem import InitialValueProblem
-from ancfdae.kernels import RULES, Plan
+from ancfdae.kernels import RULES
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.numerics.progress import progress_bar
@@ -54,7 +55,7 @@ _CHUNK_NUMBERS = 200_000
 
 
 class Packet(NamedTuple):
-    """Steps for the kernel: see `Steps` in `_kernels.pyi`."""
+    """Steps for the kernel: see `differentiate_steps` in `kernels.cpp`."""
 
     h: Array
     q: Array
@@ -112,7 +113,7 @@ class CompiledPasses:
 
         Raises SingularMatrix.
         """
-        given, count = (steps, seeds, on, *covectors), len(steps.h)
+        given, count = (steps, seeds, (on, *covectors)), len(steps.h)
         if self._kernel.go(lambda model, at: model.pull_back_steps(*given, at), count):
             raise SingularMatrix("a matrix of the pass back is singular")
 

@@ -33,6 +33,7 @@ from typing import ClassVar, NamedTuple, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.plans import CalledPlan, ListPlan
 from ancfdae.equations.saddle_points import Prepared
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.hht import linear_passes
@@ -62,7 +63,7 @@ from ancfdae.integrators.step_control.contracts import (
     Record,
     Tolerance,
 )
-from ancfdae.kernels import FILTER, CalledPlan, ListPlan, March, norm
+from ancfdae.kernels import FILTER, March, norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 

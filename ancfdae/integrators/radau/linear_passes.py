@@ -62,7 +62,7 @@ _CHUNK_NUMBERS = 200_000
 
 
 class Packet(NamedTuple):
-    """Steps for the kernel: see `ComputedStages` in `_kernels.pyi`."""
+    """Steps for the kernel: see `differentiate_stages` in `kernels.cpp`."""
 
     h: Array
     M: Array
@@ -95,7 +95,7 @@ class StageKernel:
         joints = plan.joint_factors(t, 2) if plan.joint_factors else np.ones((1, 1, 1))
         tables = np.ascontiguousarray(joints), np.ascontiguousarray(plan.load_factors(t))
         out = np.zeros((k, 2, self.size))
-        if self._prepared.go(lambda x, at: x.find_stages(*tables, q, V, A, out, at), 0) < k:
+        if self._prepared.go(lambda x, at: x.find_stages(tables, (q, V, A), out, at), 0) < k:
             raise SingularMatrix("the mass matrix of a stage is singular")
         (a, lam), moved = (np.split(np.ascontiguousarray(out[:, i]), [n], 1) for i in range(2))
         return Stages(q, V, a, lam), (moved[0], moved[1])

@@ -28,9 +28,9 @@ from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control.contracts import Failure
-from ancfdae.kernels import RULES, STAGES_NOT_FINITE, STAGES_SINGULAR, STAGES_SOLVED, CoupledArrays
+from ancfdae.kernels import RULES, STAGES_NOT_FINITE, STAGES_SINGULAR, STAGES_SOLVED
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.coupled import coupled_arrays
+from ancfdae.numerics.coupled import CoupledArrays, coupled_arrays
 
 _ROOT = np.sqrt(6.0)
 
@@ -176,7 +176,7 @@ class StageSolver:
         instants = np.append(begin.times, begin.t)
         joints, still = plan.joint_factors, np.ones((1, 1))
         factors = still if joints is None else joints(instants, 1)[0]
-        tables = factors, plan.load_factors(instants), TABLEAU, self._rules
+        tables = factors, plan.load_factors(instants), (TABLEAU, self._rules)
         self._rules[0] = begin.h
         ends, size, (iterations, factorisations, stuck) = self._kernel.model.solve_stages(
             self._coupled, begin.state, x, lam, *tables

@@ -40,7 +40,6 @@ from ancfdae.integrators.step_control.contracts import (
     Tolerance,
 )
 from ancfdae.kernels import (
-    CHANGING,
     FILTER,
     FINISHED,
     NEVER_SOLVED,
@@ -243,8 +242,10 @@ _ROUGH = 1e-3
 # Number of rows to reserve if the number of steps is not known.
 _ROWS = 1000
 _AIM = 0.5
-# Length of `_Filter.state`.
-_NUMBERS = CHANGING.stop - CHANGING.start
+# Numbers of `_Filter.state`.
+#: Numbers of a filter that change in a run and continue it.
+_CHANGING = slice(4, 12)
+_NUMBERS = _CHANGING.stop - _CHANGING.start
 
 
 @final
@@ -352,12 +353,12 @@ class _Filter(Controller):
         self.numbers = np.zeros(FILTER)
         self.numbers[:4] = method.order, method.bears_jumps, t_end, max_steps
         # Size, first size, wish, ratio, memory, last size, steps tried, steps left to the end.
-        self.numbers[CHANGING] = state or (first, first, 1.0, 1.0, 0.0, first, 0.0, 0.0)
+        self.numbers[_CHANGING] = state or (first, first, 1.0, 1.0, 0.0, first, 0.0, 0.0)
         self._pace = Pace(t_end, method.many, method.remedy)
 
     def state(self) -> tuple[float, ...]:
         """Return the numbers of the filter that change in a run, to continue it."""
-        return tuple(self.numbers[CHANGING].tolist())
+        return tuple(self.numbers[_CHANGING].tolist())
 
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
         """Return the proposed step; the last steps before an end change linearly."""

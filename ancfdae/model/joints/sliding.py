@@ -118,19 +118,42 @@ class SlidingJoint(FormulaJoint):
         gap = (U[0] if self.points else ground) - line_at(s, U[first:-1], l)
         return np.concatenate([gap, U[-1, 1:]])
 
-    def off_route(self, U: Array, p: Array, U_o: Array) -> tuple[int, str] | None:
+    def off_route(
+        self, t: Array, U: Array, V: Array, p: Array, U_o: Array
+    ) -> tuple[int, str] | None:
         """Return the index of the first state with the guide beyond an end, and a message."""
         L = sum(element_lengths(U_o[len(self.points) : -1].real))
         s = self.split(p)[1].real * L + U[:, -1, 0].real
-        off = np.flatnonzero((s < 0) | (s > L))
+        low, high = _reached(t, s, V[:, -1, 0].real)
+        off = np.flatnonzero((low < 0) | (high > L))
         if not len(off):
             return None
-        end = "start" if s[off[0]] < 0 else "end"
+        end = "start" if low[off[0]] < 0 else "end"
         return int(off[0]), (
             f"takes the guide of joint {self.name!r} beyond the {end} of beam {self.beam!r}. Stop "
             "the run before with an EndEvent of slide_distance, take a longer beam, or brake the "
             "guide with a SlidingFriction"
         )
+
+
+def _reached(t: Array, s: Array, s_t: Array) -> tuple[Array, Array]:
+    """Return the least and largest arc length up to each time since the one before, (k,) each.
+
+    Between two times they are those of the cubic through arc lengths and rates.
+    """
+    h, a, b = np.diff(t), s_t[:-1], s_t[1:]
+    mean = np.diff(s) / h
+    # Zeros in (0, 1) of the rate a + 2 (3 m - 2 a - b) x + 3 (a + b - 2 m) x^2, m its mean.
+    half, square = 3 * mean - 2 * a - b, 3 * (a + b - 2 * mean)
+    with np.errstate(all="ignore"):
+        part = -(half + np.where(half < 0, -1.0, 1.0) * np.sqrt(half**2 - a * square))
+        x = np.stack([part / square, a / part])
+        x = np.where((x > 0) & (x < 1), x, 0.0)
+    turns = s[:-1] + h * x * (a + x * (half + x * square / 3))
+    low, high = s.copy(), s.copy()
+    low[1:] = np.minimum(low[1:], np.min(turns, axis=0))
+    high[1:] = np.maximum(high[1:], np.max(turns, axis=0))
+    return low, high
 
 
 def element_lengths(X: Array) -> list[Any]:

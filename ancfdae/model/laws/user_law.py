@@ -9,7 +9,7 @@ import numpy as np
 
 from ancfdae.errors.checks import require_function
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import OperationList, list_values
+from ancfdae.kernels import OperationList
 from ancfdae.model.design import require_numbers
 from ancfdae.model.laws.law import Law
 from ancfdae.numerics.arrays import Array, Numbers
@@ -65,7 +65,7 @@ class UserLaw(Law):
     def derivative(self, p: Array, t: Any, order: int) -> Array:
         """Return the time derivative of this order by the list of operations, shape of t."""
         t = np.asarray(t)
-        values = list_values(self._lists[order], t.reshape(-1, 1), p)
+        values = self._lists[order].values(t.reshape(-1, 1), p)
         # Lists replace 1/0 in derivatives by large numbers.
         values[np.abs(values) > _LARGEST] = np.inf
         return values.reshape(t.shape)

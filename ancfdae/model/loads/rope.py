@@ -32,7 +32,13 @@ from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.vector_formulas import angle, concatenate, cross, dot, positive
 
-#: A point of a body, or a position on the ground.
+# Steps that move a place by more than this part of the shortest tangent are looked at on the way,
+# at this number of places.
+_LONG, _PLACES = 0.1, 33
+# Squared length of a tangent, over that between the centres, below which it counts as none.
+_LEAST = 1e-12
+
+#: A point of a body, or a place on the ground.
 Place: TypeAlias = MaterialPoint | Sequence[float]
 
 
@@ -321,9 +327,9 @@ class Rope(Load):
         U = np.array(rows)
         with np.errstate(all="ignore"):
             spans = self._reeving(U, np.zeros_like(U), p, U).spans
-            off = self.off_route(U[None], p, U)
+            off = self.off_route(np.zeros(1), U[None], np.zeros_like(U[None]), p, U)
         for k, span in enumerate(spans):
-            if off is None and not np.all(span.length > 0):
+            if not np.all(span.length > 0):
                 rule, repair = "must have a length", "Move one of its places."
                 raise InvalidInputError(f"load {self.name!r}, span {k}", rule, 0.0, repair)
         if off is not None:
@@ -369,23 +375,56 @@ class Rope(Load):
         """Return the tension of every span, (..., 1, 1) each; N."""
         return tuple(self._tensions(self._reeving(U, V, p, U_o), signals, p, U_o))
 
-    def off_route(self, U: Array, p: Array, U_o: Array) -> tuple[int, str] | None:
-        """Return the index of the first state in which the rope leaves a pulley, and a message."""
-        with np.errstate(invalid="ignore"):
-            reeving = self._reeving(U, np.zeros_like(U), p, U_o)
-        found = list[tuple[int, str]]()
-        for k, phi in enumerate(reeving.angles):
-            touched = (
-                np.broadcast_to(phi, (len(U), 1, 1))[:, 0, 0] > 2 * np.pi * self.pulleys[k].turns
+    def off_route(
+        self, t: Array, U: Array, V: Array, p: Array, U_o: Array
+    ) -> tuple[int, str] | None:
+        """Return the first state up to which the rope leaves a pulley, or a place enters one.
+
+        Steps in which a place moves by more than a part _LONG of the shortest tangent are looked at
+        along the cubic through their ends.
+        """
+        off = self._off_at(U, p, U_o)
+        shape, h = (len(U), 1, 1), np.diff(t)[:, None, None]
+        lengths = [np.broadcast_to(x.length, shape) for x in self._reeving(U, V, p, U_o).spans]
+        rates = [np.sqrt(dot(x.V, x.V))[:, :1] for x in self._stations(U, V, p, U_o)]
+        speeds = np.max([np.broadcast_to(x, shape) for x in rates], axis=0)
+        short = np.min(lengths, axis=0)
+        far = h * (speeds[1:] + speeds[:-1]) > _LONG * np.minimum(short[1:], short[:-1])
+        for k in np.flatnonzero(far):
+            if off is not None and k >= off[0]:
+                break
+            x, step = np.linspace(0.0, 1.0, _PLACES)[:, None, None], h[k]
+            bend = (1 - x) * step * V[k] - x * step * V[k + 1] + (2 * x - 1) * (U[k + 1] - U[k])
+            on_way = self._off_at((1 - x) * U[k] + x * U[k + 1] + x * (1 - x) * bend, p, U_o)
+            if on_way is not None:
+                return int(k) + 1, on_way[1]
+        return off
+
+    def _off_at(self, U: Array, p: Array, U_o: Array) -> tuple[int, str] | None:
+        """Return the first state in which the rope is off a pulley, or a place inside of one."""
+        V = np.zeros_like(U)
+        found, names = list[tuple[Any, str]](), tuple(self._places)
+        for k, (a, b) in enumerate(pairwise(self._stations(U, V, p, U_o))):
+            D, rises = _apart(a, b)
+            words = (
+                f"takes {names[k]} and {names[k + 1]} of load {self.name!r} so near to each other "
+                "that no tangent is between them"
             )
-            off = np.flatnonzero(~touched)
-            if len(off):
-                words = (
-                    f"leaves pulley {k} of load {self.name!r}, around which the rope has an angle "
-                    "between 0 and 3/2 pi beside whole turns"
-                )
-                found.append((int(off[0]), words))
-        return min(found, default=None)
+            for station, rise in zip((a, b), rises, strict=True):
+                if D.shape[-1] == 2 or station.axis is not None:
+                    in_plane = _in_plane(D, station.axis)
+                    found.append((dot(in_plane, in_plane) > rise * rise, words))
+        for k, phi in enumerate(self._reeving(U, V, p, U_o).angles):
+            words = (
+                f"leaves pulley {k} of load {self.name!r}, around which the rope has an angle "
+                "between 0 and 3/2 pi beside whole turns"
+            )
+            found.append((phi > 2 * np.pi * self.pulleys[k].turns, words))
+        first = list[tuple[int, str]]()
+        for on_route, words in found:
+            off = np.flatnonzero(~np.broadcast_to(on_route, (len(U), 1, 1)))
+            first += [(int(off[0]), words)] if len(off) else []
+        return min(first, key=lambda one: one[0], default=None)
 
     def _stations(self, U: Any, V: Any, p: Array, U_o: Array) -> list[_Station]:
         numbers, first = dict(zip(self.numbers_of("pulleys"), self.split(p)[5], strict=True)), 0
@@ -477,23 +516,35 @@ def _turned(u: Any, axis: Any) -> Any:
     return u @ QUARTER_TURN if axis is None else cross(axis + 0.0 * u, u)
 
 
+def _in_plane(D: Any, axis: Any) -> Any:
+    """Return the part of a vector across an axis, all of it in the plane."""
+    return D if axis is None else D - dot(D, axis) * axis
+
+
 def _tangent(D: Any, rise: Any, axis: Any) -> Any:
     """Return the direction of the common tangent of two circles in the plane of one of them.
 
-    D leads from centre to centre, and `rise` is the difference of the signed radii.
+    D leads from centre to centre, and `rise` is the difference of the signed radii. Circles
+    without such a tangent get a finite direction, so that a step may end there and is refused.
     """
-    in_plane = D if axis is None else D - dot(D, axis) * axis
+    in_plane = _in_plane(D, axis)
     squared = dot(in_plane, in_plane)
-    along = np.sqrt(squared - rise * rise)
-    return (along * in_plane - rise * _turned(in_plane, axis)) / squared
+    least, room = _LEAST * squared, squared - rise * rise
+    along = np.sqrt(positive(room - least) + least)
+    return (along * in_plane - rise * _turned(in_plane, axis)) / (squared + positive(-room))
+
+
+def _apart(a: _Station, b: _Station) -> tuple[Any, tuple[Any, Any]]:
+    """Return the vector from centre to centre, and the differences of radii seen by both."""
+    D, alike = b.U[..., :1, :] - a.U[..., :1, :], 1.0
+    if a.axis is not None and b.axis is not None:
+        alike = dot(a.axis + 0.0 * b.axis, b.axis)
+    return D, (b.radius * alike - a.radius, b.radius - a.radius * alike)
 
 
 def _span(a: _Station, b: _Station) -> _Span:
     """Return the straight part of a rope between the stations a and b."""
-    D, alike = b.U[..., :1, :] - a.U[..., :1, :], 1.0
-    if a.axis is not None and b.axis is not None:
-        alike = dot(a.axis + 0.0 * b.axis, b.axis)
-    rises = b.radius * alike - a.radius, b.radius - a.radius * alike
+    D, rises = _apart(a, b)
     tangents, arms = list[Any](), list[Any]()
     for station, rise in zip((a, b), rises, strict=True):
         if D.shape[-1] == 3 and station.axis is None:

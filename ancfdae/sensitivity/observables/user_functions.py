@@ -12,7 +12,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.checks import require_function, require_kind
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import OperationList, list_values
+from ancfdae.kernels import OperationList
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.complex_step import FAILURES, require_derivative
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
@@ -175,7 +175,7 @@ class _Formula:
         """Return the value and its partials in the inputs `columns`, shape (k, 1 + n_columns)."""
         parts = (states.t[:, None], states.q, states.v, states.lam, b)
         used = [x[..., at] for x, at in zip(parts, self.columns, strict=True)]
-        return list_values(self.operations, *used)
+        return self.operations.values(*used)
 
     def gradient(self, partials: Array, n_b: int) -> LeafGradient:
         """Return partials in the inputs `columns`, (k, ...), sorted by states and design."""

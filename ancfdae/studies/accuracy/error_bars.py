@@ -13,6 +13,9 @@ order, and the bar is a multiple of them (`bars.unresolved`).
 SUNDIALS and SciPy choose their steps themselves. The refined run has a tenth of the tolerance, the
 bar is the whole difference, and no value is extrapolated.
 
+With events steps are halved in all phases, and runs must meet the same events. Whether waves are
+resolved is not known then. Differences count as ordered only if three runs show the order.
+
 Meshes are treated like steps, at the longest step: with two or three meshes, each of twice the
 elements, the error of the finest follows from their differences, and the order is observed or taken
 as 2.
@@ -26,9 +29,9 @@ objective's own quadrature is added; from the value on every second time point i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias, final
+from typing import TYPE_CHECKING, Any, TypeAlias, cast, final
 
 import numpy as np
 
@@ -40,6 +43,8 @@ from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.integrators.integrator import DefectIntegrator, Integrator, Seeds
+from ancfdae.integrators.step_control import FixedSteps
+from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.modes.periods import advice
@@ -54,12 +59,17 @@ from ancfdae.studies.accuracy.bars import (
     ORDERLESS,
     RESOLVED_ORDER,
     convergence_bars,
+    falls,
     observed_order,
     remainder,
     unresolved,
 )
 from ancfdae.studies.calls import as_system, differentiable, gradient, require_objectives
 from ancfdae.studies.meshes import with_mesh
+
+if TYPE_CHECKING:
+    from ancfdae.equations.event_solution import EventSolution
+    from ancfdae.events.kinds import Event, Mode
 
 # Least number of steps of a run whose error can be estimated.
 _LEAST_STEPS = 4
@@ -168,14 +178,17 @@ def error_bars(
     method: GradientMethod | None = None,
     levels: int = 2,
     meshes: int = 1,
+    events: Sequence[Event] | None = None,
+    modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
 ) -> ErrorBars:
     """Estimate the discretisation error of an objective and its gradient.
 
     Parameters
     ----------
-    model, objective, t_end, integrator, design, progress
-        As in `gradient`; the coarsest run has this integrator, and at least four steps.
+    model, objective, t_end, integrator, design, events, modes, progress
+        As in `gradient`; the coarsest run has this integrator, and at least four steps. With events
+        it has a fixed step, or is `DOP853` or `IDA`, and there is one mesh.
     method : GradientMethod
         As in `gradient`, but `DirectDifferentiation` by default.
     levels : int
@@ -193,12 +206,23 @@ def error_bars(
 
     def run(at: _Mesh, settings: Integrator) -> Gradient:
         return gradient(
-            at[0], objective, t_end, settings, design=at[1], method=chosen, progress=progress
+            at[0],
+            objective,
+            t_end,
+            settings,
+            design=at[1],
+            method=chosen,
+            events=events,
+            modes=modes,
+            progress=progress,
         )
 
+    happens = events is not None or modes is not None
+    if happens:
+        _require_halving(integrator, meshes)
     *coarser, finest = _meshes(model, design, meshes)
     settings, runs = integrator, [run(finest, integrator)]
-    steps = runs[0].solution.statistics.steps
+    steps = sum(x.statistics.steps for x in _solutions(runs[0]))
     if steps < _LEAST_STEPS:
         raise InvalidInputError(
             "error_bars",
@@ -207,8 +231,10 @@ def error_bars(
             f"Use a step of {t_end / (2 * _LEAST_STEPS):.3g} or less.",
         )
     for _ in range(levels - 1):
-        settings = settings.refined(runs[-1].solution)
+        settings = _refined(settings, runs[-1])
         runs.append(run(finest, settings))
+    if happens:
+        _require_same_events(runs)
     widths, orders, resolved = _of_steps(runs, finest, integrator.order)
     parts, mesh_orders = {"step": widths}, np.full(len(widths), np.nan)
     if coarser:
@@ -226,13 +252,55 @@ def _of_steps(
     runs: Sequence[Gradient], mesh: _Mesh, order: int | None
 ) -> tuple[Array, Array, bool | None]:
     """Return error bars from the steps, orders, and whether the steps resolve the waves."""
-    differences, resolved = np.diff(_numbers(runs), axis=0), _resolved(*runs[-2:])
+    differences, happens = np.diff(_numbers(runs), axis=0), runs[0].event_solution is not None
+    resolved = None if happens else _resolved(*runs[-2:])
     widths, orders = convergence_bars(differences, order)
-    if resolved is False:
+    if resolved is False or (happens and order is not None and not _fall(differences, order)):
         scale = design_sizes(differentiable(*mesh))
         slopes = unresolved(differences[:, 1:] * scale) / scale
         widths = np.append(unresolved(differences[:, :1]), slopes)
     return widths, orders, resolved
+
+
+def _fall(differences: Array, order: int) -> bool:
+    """Whether two differences of values and of each derivative fall with the order."""
+    if len(differences) < 2:
+        return False
+    columns = np.abs(differences).T
+    return all(not np.any(sizes) or falls(sizes, (1, 2, 4), order) for sizes in columns)
+
+
+def _solutions(run: Gradient) -> Sequence[Solution]:
+    """Return the solutions of all phases of a run."""
+    return (run.solution,) if run.event_solution is None else run.event_solution.phases
+
+
+def _refined(settings: Integrator, run: Gradient) -> Integrator:
+    """Return the integrator with half the steps of a run, or a tenth of its tolerance."""
+    if run.event_solution is not None and isinstance(settings, SteppedIntegrator):
+        assert isinstance(settings.steps, FixedSteps)
+        return settings.with_steps(FixedSteps(settings.steps.step / 2))
+    return settings.refined(run.solution)
+
+
+def _require_halving(integrator: Integrator, meshes: int) -> None:
+    """Refuse steps of runs with events that cannot be halved in all phases, and several meshes."""
+    if meshes != 1:
+        raise InvalidInputError(
+            "meshes", "must be 1 with events", meshes, "Leave out meshes to compare steps."
+        )
+    if isinstance(integrator, SteppedIntegrator) and not isinstance(integrator.steps, FixedSteps):
+        rule, repair = "must be fixed with events", "For example HHT(step=...), or IDA(rtol)."
+        raise InvalidInputError("error_bars, steps", rule, repr(integrator), repair)
+
+
+def _require_same_events(runs: Sequence[Gradient]) -> None:
+    """Refuse runs that meet different events, since they are of different motions."""
+    names = [[x.name for x in cast("EventSolution", run.event_solution).events] for run in runs]
+    if any(each != names[-1] for each in names):
+        rule = "must meet the same events in all runs to compare them"
+        got = ", ".join(f"{len(each)} events" for each in names)
+        raise InvalidInputError("error_bars", rule, got, "Take a shorter step.")
 
 
 def _meshes(model: Scene | MechanicalSystem, design: _Design, count: int) -> list[_Mesh]:

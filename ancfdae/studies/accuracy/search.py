@@ -17,6 +17,7 @@ import scipy
 
 from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.equations.derived import design_sizes
+from ancfdae.equations.event_solution import EventSolution
 from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_each, require_flag, require_positive
 from ancfdae.errors.kinds import (
@@ -269,7 +270,7 @@ def gradients_within(
         few = read_at_end(system, objectives, t_end) and not witness.looks
         intervals = _FEW if few else _MANY
     reached = search(wanted, measure, witness, intervals, 4)
-    return _results(reached, scale, tolerance)
+    return with_bars(reached, scale, tolerance)
 
 
 def _wanted(
@@ -293,7 +294,7 @@ def _wanted(
         problem,
         t_end,
         tolerance,
-        _paired_norms,
+        paired_norms,
         numbers,
         integrated,
         partials,
@@ -324,14 +325,14 @@ def _seen(objectives: Sequence[Objective]) -> tuple[Seen, ...]:
     return tuple(Seen(x.observable, getattr(x, "sharpness", None)) for x in over)
 
 
-def _paired_norms(vectors: Sequence[Array]) -> list[float]:
+def paired_norms(vectors: Sequence[Array]) -> list[float]:
     """Return the sizes to which errors of pairs of a value and a scaled gradient are relative."""
-    norms = _norms(vectors)
-    pairs = zip(norms[::2], norms[1::2], strict=True)
+    sizes = norms(vectors)
+    pairs = zip(sizes[::2], sizes[1::2], strict=True)
     return [size for value, slope in pairs for size in (max(value, slope), slope)]
 
 
-def _results(reached: Found, scale: Array, tolerance: float) -> list[Gradient]:
+def with_bars(reached: Found, scale: Array, tolerance: float) -> list[Gradient]:
     """Return the results of the finest run with the estimates and their accuracy."""
     results, done = reached.result, []
     assert isinstance(results, list)
@@ -374,7 +375,7 @@ class ObservableEstimates(ToleranceSearch):
     values, bars : array, shape (n, n_observables)
         Values, and estimated bounds of their errors, which are not proven. Values may be
         extrapolated from several runs; they are then better than those of the solution.
-    solution : Solution
+    solution : Solution or EventSolution
         The finest run of the chosen kind.
     tolerance : float
         The requested tolerance; relative.
@@ -393,7 +394,7 @@ class ObservableEstimates(ToleranceSearch):
     t: Array
     values: Array
     bars: Array
-    solution: Solution
+    solution: Solution | EventSolution
 
     def to_dataframe(self) -> Any:
         """Return values and bars over time as a pandas table with index t, s."""
@@ -422,8 +423,7 @@ def observed_within(
     require_positive("t_end", t_end)
     require_tolerance(tolerance)
     require_flag("progress", progress)
-    asked = _checked(observables, system)
-    times = np.linspace(0.0, t_end, _INSTANTS) if at is None else instants("at", at, t_end)
+    asked, times = asked_for(observables, at, system, t_end)
 
     def measure(integrator: Integrator) -> Sample:
         run = uninterrupted(integrator.integrate(system, t_end, progress=progress))
@@ -438,11 +438,16 @@ def observed_within(
     problem, none = InitialValueProblem.of(system, t_end), [False] * len(asked)
     fast = features(problem, (), t_end)
     wanted = Wanted(
-        problem, t_end, tolerance, _norms, numbers, none, None, True, fast, speed(problem)
+        problem, t_end, tolerance, norms, numbers, none, None, True, fast, speed(problem)
     )
     witness = Witness(system, tuple(map(Seen, asked)), tolerance)
     reached = search(wanted, measure, witness, _INTERVALS, 3)
-    assert isinstance(reached.result, Solution)
+    return estimates_of(reached, tolerance, times)
+
+
+def estimates_of(reached: Found, tolerance: float, times: Array) -> ObservableEstimates:
+    """Put the estimates of a search beside its finest run."""
+    assert isinstance(reached.result, Solution | EventSolution)
     values, bars = (
         np.stack(x, axis=1) for x in zip(*((e.x, e.bar) for e in reached.estimates), strict=True)
     )
@@ -450,10 +455,17 @@ def observed_within(
     return ObservableEstimates(*told, times, values, bars, reached.result)
 
 
-def _checked(
-    observables: Sequence[Observable] | None, system: MechanicalSystem
-) -> Sequence[Observable]:
-    """Return the observables; raise InvalidInputError if empty or not in the system."""
+def asked_for(
+    observables: Sequence[Observable] | None,
+    at: Sequence[float] | Array | None,
+    system: MechanicalSystem,
+    t_end: float,
+) -> tuple[Sequence[Observable], Array]:
+    """Return the observables and their times.
+
+    Raise InvalidInputError if there are no observables, if one is not in the system, or if times do
+    not ascend within the run.
+    """
     repair = "For example observables=[position(rod.at_end, 0)]."
     named = () if observables is None else observables
     wanted = require_each("observables", named, (Observable,), repair)
@@ -461,7 +473,8 @@ def _checked(
         raise InvalidInputError("observables", "must be named for a tolerance", "none", repair)
     for each in wanted:
         each.check(system)
-    return wanted
+    times = np.linspace(0.0, t_end, _INSTANTS) if at is None else instants("at", at, t_end)
+    return wanted, times
 
 
 def _interpolated(values: Array, run: States, times: Array) -> Array:
@@ -479,5 +492,6 @@ def _interpolated(values: Array, run: States, times: Array) -> Array:
     return np.asarray(spline(times))
 
 
-def _norms(vectors: Sequence[Array]) -> list[float]:
+def norms(vectors: Sequence[Array]) -> list[float]:
+    """Return the Euclidean norms of vectors."""
     return [float(np.linalg.norm(each)) for each in vectors]

@@ -1,0 +1,103 @@
+"""What kernels take of a system: arrays of a scene, lists of operations, or functions to call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from ancfdae.kernels import Block, ConstraintPlan, LoadPlan, OperationList
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.patterns import Csr
+
+
+class Plan(NamedTuple):
+    """A system of elements, joints and loads, for `Model` and `ComplexModel`.
+
+    `mass` is M on the system's pattern, `places` those of the elements' tangents on it, and M the
+    same without zeros. `loads` are rows of forces, and `B` is Phi_q with any values. Factors of
+    time are functions of instants, (k,): those of constraints with derivatives, (orders, k,
+    n_parts), None where nothing is driven, and those of loads, (k, n_loads), of `moving` ones
+    last. Of these it says whether they use velocities, and whether they turn with the motion
+    without being elastic, as numbers.
+    """
+
+    block: Block
+    places: Array
+    M: Csr
+    mass: Csr
+    gravity: Array
+    loads: Array
+    weights: Array
+    inverse_weights: Array
+    constraints: ConstraintPlan
+    B: Csr
+    joint_factors: Callable[[Array, int], Array] | None
+    load_factors: Callable[[Array], Array]
+    moving: tuple[tuple[LoadPlan, bool], ...]
+    turning: Array
+
+
+@final
+class ListPlan(NamedTuple):
+    """A system of lists of operations, for `Model` and `ComplexModel`.
+
+    Lists take t, q, v, A, lam and b, and return Phi_q, Phi, dPhi/dt, Q, M, and f_q with f_v behind
+    it if forces use velocities. Values of matrices stand on the patterns B of Phi_q and K of all
+    others. t is the time of a run plus `start`.
+    """
+
+    lists: tuple[OperationList, ...]
+    b: Array
+    weights: Array
+    inverse_weights: Array
+    B: Csr
+    K: Csr
+    velocity: bool
+    start: float = 0.0
+
+    def joint_factors(self, t: Array, orders: int) -> Array:
+        """Return times, which the functions take where scenes have factors; (orders, k, 1)."""
+        return np.stack([self.start + t[:, None]] * orders)
+
+    def load_factors(self, t: Array) -> Array:
+        """Return times, which the functions take where scenes have factors; (k, 1)."""
+        return self.start + t[:, None]
+
+
+@final
+class CalledPlan(NamedTuple):
+    """A system whose equations Python evaluates, for `Model` and `ComplexModel`.
+
+    The functions return M(q), Phi_q(t, q), Phi(t, q) or its rate Phi(t, q, v), and Q(t, q, v). Two
+    more return (f_q, f_v or None) of (t, q, v, a, lam), and (P, P_q) of (t, q), the loads that turn
+    with the motion. Values of matrices have the patterns B of Phi_q and K of all others.
+    """
+
+    functions: tuple[Callable[..., Any], ...]
+    weights: Array
+    inverse_weights: Array
+    B: Csr
+    K: Csr
+    velocity: bool
+
+    def joint_factors(self, t: Array, orders: int) -> Array:
+        """Return times, which the functions take where scenes have factors; (orders, k, 1)."""
+        return np.stack([t[:, None]] * orders)
+
+    def load_factors(self, t: Array) -> Array:
+        """Return times, which the functions take where scenes have factors; (k, 1)."""
+        return t[:, None]
+
+
+def real_part(plan: Any) -> Any:
+    """Return a plan, or a part of one, with the real parts of its numbers, for `Model`."""
+    if isinstance(plan, np.ndarray):
+        return plan.real
+    if isinstance(plan, tuple):
+        return tuple(map(real_part, plan))
+    if isinstance(plan, Block | ConstraintPlan | LoadPlan):
+        kind, arguments = plan.__reduce__()
+        return kind(*real_part(arguments))
+    return plan
