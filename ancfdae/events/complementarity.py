@@ -14,7 +14,8 @@ cone by a pyramid; Newton's method on the cone starts from its solution (`fricti
 
 The solution lies on a *branch*: which contacts push, which stick, and which slide in what
 direction. On a branch the equations are smooth; the direction of sliding in a plane is their only
-nonlinear term. They are solved once more, so that complex numbers and derivatives follow from them, too.
+nonlinear term. They are solved once more, so that complex numbers and derivatives follow from them,
+too.
 """
 
 from __future__ import annotations
