@@ -190,7 +190,7 @@ class Formulas:
         if made is None:
             made = self._lists[key] = self._compiled(of(self, *which))
         out = made.operations.values(*[at[name] for name in made.inputs])
-        if rows is not None and out.ndim == 1:  # Nothing that the values follow from has rows.
+        if rows is not None and out.ndim == 1:  # No input of the values has rows.
             out = np.repeat(out[None], rows, axis=0)
         lead = out.shape[:-1]
         if len(made.shapes) == 1:

@@ -1,4 +1,4 @@
-"""What kernels take of a system: arrays of a scene, lists of operations, or functions to call."""
+"""Plans of systems for kernels: arrays of a scene, lists of operations, or functions to call."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ void rooms_of(const Plan<T> &p, Size of_lists, Room<T> *r, T **lists, std::vecto
         all->push_back(x);
 }
 
-/* What matrices want, but for indices. */
+/* What matrices want, without room for indices. */
 std::vector<Wanted<double>> matrix_rooms(const Plan<double> &p, Room<double> *r)
 {
     const Fronts *f = p.fronts;

@@ -219,7 +219,7 @@ def _measured(small: Linearised, s: complex) -> ConstrainedMatrix:
 _DENSE_CROWDED = 1500
 # Arnoldi's method computes _MORE pairs more than requested, times the next number of _TIMES where
 # pairs may be missing.
-_MORE, _TIMES = 2, (1, 2, 4)
+_MORE, _TIMES = 2, (1, 2, 4, 8, 16)
 # Largest relative change of a vibration's exponent by inverse iteration; a larger change means that
 # the iteration converged to another mode.
 _MOVED = 1e-3
@@ -299,13 +299,13 @@ def _of_large(small: Linearised, count: int, highest: bool, rigid: Array) -> Eig
     size = float(np.sqrt(np.max(np.abs(around.z))))
     if highest:
         return _highest(small, count, *sparse.damped(small, count, size, highest, rigid))
-    for times in _TIMES:
+    # Dense matrices are faster than the last ones.
+    for times in _TIMES if small.n_free > _DENSE_CROWDED else _TIMES[:3]:
         try:
             s, X = sparse.damped(small, times * (count + _MORE), size, highest, rigid)
         except scipy.sparse.linalg.ArpackError:
-            if times == 1:
-                raise
-            return None
+            # More vectors tell apart exponents that coincide.
+            continue
         pairs = _lowest(small, count, rigid, s, X)
         if pairs is not None and _has_all_that_vibrate(small, count, rigid, s, pairs):
             return pairs

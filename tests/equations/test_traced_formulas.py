@@ -770,6 +770,11 @@ def counting(taken):
             taken.append(found[0])
             return found
 
+        def march_controlled(self, *x):
+            found = self.model.march_controlled(*x)
+            taken.append(found[0])
+            return found
+
         def solve_stages(self, *x):
             found = self.model.solve_stages(*x)
             taken.append(int(found[0] == STAGES_SOLVED))

@@ -13,12 +13,14 @@ from ancfdae import (
     Material,
     Pin,
     PointOnLine,
+    Radau,
     RigidBody,
     Scene,
     SpringDamper,
     Terminal,
     TranslationalFriction,
     assemble,
+    gradient,
     simulate,
 )
 from ancfdae.equations import ErrorEstimates
@@ -29,9 +31,12 @@ from ancfdae.sensitivity.observables.observable import states_of
 from ancfdae.studies.accuracy.features import RESOLVED, _smooth, features, passed_over
 from ancfdae.studies.accuracy.hht_runs import HHTRuns
 from ancfdae.studies.accuracy.places import Seen, Witness
-from ancfdae.studies.accuracy.runs import Sample
+from ancfdae.studies.accuracy.runs import Prices, Sample
 from ancfdae.studies.accuracy.search import _wanted
 from ancfdae.studies.accuracy.waves import Unresolved, Wave, missed
+from tests.support.mechanisms import CartesianPendulum, WrittenPendulum
+from validation.tolerance.scenes import HELD_OUT
+from validation.work_precision_scenes import cases
 
 
 def rod():
@@ -223,3 +228,27 @@ def test_a_wave_of_a_derivative_is_weighed_as_it_changes_the_number(lost):
     assert weighed.whole[0].slope[0] == pytest.approx(scale * np.abs(true).max(), rel=1e-3)
     assert weighed.parts[0].slope[0] == pytest.approx(scale * np.abs(true - left).max(), rel=1e-3)
     assert weighed.whole[0].value[0] == 0
+
+
+def test_radau_waits_where_waves_that_coarser_runs_lose_are_more_than_the_tolerance():
+    """A bar of Radau holds them, whatever its steps: runs before HHT-I3 is finer were in vain."""
+    case = next(x for x in cases(quick=False) if x.title.startswith("Pendulum, E = 1e+09"))
+    found = gradient(case.system, case.objectives[0], case.t_end, tolerance=1e-6)
+    assert found.accuracy.reached
+    kinds = [type(x.integrator).__name__ for x in found.accuracy.trials]
+    # Without the rule two runs of Radau, or three, stood between the third and fourth of HHT-I3.
+    assert kinds[:4] == ["HHT"] * 4
+
+
+def test_a_system_of_lists_costs_less_than_the_same_of_functions():
+    lists, called = Prices.of(WrittenPendulum()), Prices.of(CartesianPendulum(0.7, 1.0))
+    assert all(x < y for x, y in zip(lists, called, strict=True) if y)
+
+
+def test_radau_is_taken_where_bars_of_hht_fall_with_its_order():
+    """A rope with damping at 1e-6: six and seven runs of HHT-I3 took twice the time."""
+    case = next(x for x in HELD_OUT() if x.name == "falling rope, damped")
+    found = gradient(case.system, case.objective, case.t_end, tolerance=1e-6)
+    exact = gradient(case.system, case.objective, case.t_end, Radau(case.t_end / 1500))
+    assert isinstance(found.accuracy.integrator, Radau)
+    assert abs(found.value - exact.value) <= found.accuracy.value_bar

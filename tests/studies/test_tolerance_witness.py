@@ -310,9 +310,7 @@ def of_rubbing(coulomb, smooth_speed, at):
 
     known = {"t_eval": at, "rtol": 1e-11, "atol": 1e-13, "max_step": 0.01}
     # Friction that turns within 1e-5 m/s is stiff.
-    x, x_k, x_c = scipy.integrate.solve_ivp(rates, (0, at[-1]), np.zeros(6), "LSODA", **known).y[
-        :3
-    ]
+    x, x_k, x_c = scipy.integrate.solve_ivp(rates, (0, at[-1]), np.zeros(6), "LSODA", **known).y[:3]
     return x, x_k * RUB, x_c * coulomb
 
 

@@ -16,9 +16,7 @@ from typing import Final
 from tests.tools.call_path import ROOT, passed, run
 
 # Files of the kernels that hold neither a formula nor an algorithm.
-_BORDER: Final = re.compile(
-    r"(kernels\.cpp|binding\w*\.h|\w*calls\w*\.h|__init__\.py)"
-)
+_BORDER: Final = re.compile(r"(kernels\.cpp|binding\w*\.h|\w*calls\w*\.h|__init__\.py)")
 
 
 def _lines(paths: Iterable[Path]) -> int:

@@ -242,7 +242,6 @@ _ROUGH = 1e-3
 # Number of rows to reserve if the number of steps is not known.
 _ROWS = 1000
 _AIM = 0.5
-# Length of `_Filter.state`.
 #: Numbers of a filter that change in a run and continue it.
 _CHANGING = slice(4, 12)
 _NUMBERS = _CHANGING.stop - _CHANGING.start

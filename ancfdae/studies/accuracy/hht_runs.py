@@ -50,8 +50,8 @@ _FASTER = 0.6
 # Factors of the number of steps from the first run to the second: the largest if it suffices for
 # the tolerance by the estimated error, and the one otherwise.
 _REACHED, _DOUBLED = 2.25, 2.0
-# Cost of the derivatives of a small step of HHT-I3 (`small_from`), microseconds.
-_OF_A_SMALL = 60.0
+# Cost of a step, microseconds, above which the first run has few steps.
+_DEAR = 200.0
 
 
 @final
@@ -248,7 +248,7 @@ class HHTRuns(FixedStepRuns):
     @property
     def _first(self) -> int:
         """Steps of the first run; Newton's method needs shorter ones where equations are stiff."""
-        if not self._compiled:
+        if self._prices.hht > _DEAR:
             return 16
         return 128 if self._wanted.speed * self._t_end > _STIFF else 64
 
@@ -277,8 +277,9 @@ class HHTRuns(FixedStepRuns):
     def left(self) -> float:
         """Estimated cost to reach the tolerance, microseconds.
 
-        It is that of the next run while there are fewer than two, then of all runs up to one that
-        is fine enough.
+        It is the cost of the next run while there are fewer than two, then of all runs up to one
+        that is fine enough. Bars of extrapolated numbers fall faster than with the order at first,
+        and later with it.
         """
         if len(self.samples) < 2:
             return self.work
@@ -286,7 +287,7 @@ class HHTRuns(FixedStepRuns):
             return self._work(self.least) + self._work(2 * self.least)
         if self.damps:
             return self._work(self._following) + self._work(2 * self._following)
-        order = 3 if self.resolved else 2 if self.regular else self._falls
+        order = self.order if self.resolved or self.regular else self._falls
         last = max(self._growth(order, math.inf) * self._taken, self.count)
         most = self._stride if self.resolved else 2.0
         runs = math.ceil(math.log(last / self._taken) / math.log(most))
@@ -302,11 +303,10 @@ class HHTRuns(FixedStepRuns):
 
     def _of_a_step(self, steps: float) -> float:
         """Return the cost of a step, microseconds, in a run of `steps` steps."""
-        if not self._compiled:
-            return 1300.0
-        if self._small is None and self._wanted.slopes and self.samples:
+        prices = self._prices
+        if prices.small and self._small is None and self._wanted.slopes and self.samples:
             self._small = small_from(self._system, self.samples[-1].run, _ALPHA)
-        return 4.0 + 0.7 * self._n + (_OF_A_SMALL if steps > (self._small or math.inf) else 0.0)
+        return prices.hht + (prices.small if steps > (self._small or math.inf) else 0.0)
 
     @property
     def resolved(self) -> bool:

@@ -35,6 +35,8 @@ from ancfdae.studies.accuracy.waves import pace
 
 # Least number of steps over the number at which HHT showed that waves are resolved.
 _SHARE = 0.25
+# Number of steps of the last run over that of the first, as predicted before there are any runs.
+_FURTHER = 4
 # Least number of steps of Radau where waves fade, and error bar over the difference of two runs
 # then.
 _FADING, _OF_FADING = 32, 0.5
@@ -91,18 +93,22 @@ class RadauRuns(FixedStepRuns):
 
     @property
     def left(self) -> float:
-        """Estimated cost to reach the tolerance, microseconds; infinite with unresolved waves."""
+        """Estimated cost to reach the tolerance, microseconds; infinite with unresolved waves.
+
+        It is also infinite where waves that the runs of HHT-I3 lose change more than the
+        tolerance: each bar of Radau holds this change.
+        """
         if not self.resolved or self._seer.damps:
+            return math.inf
+        if self.relative(self.lost, self._seer.samples[-1].vectors) > self._tolerance:
             return math.inf
         if self.samples:
             return self._work(self._growth(self.order, math.inf) * self._taken)
-        return self._work(self.count) + self._work(2 * self.count)
+        return self._work(self.count) + self._work(_FURTHER * self.count)
 
     def _of_a_step(self, steps: float) -> float:
-        """Return the cost of a step, compiled or in Python, microseconds."""
-        if not self._compiled:
-            return 6500.0
-        return 100.0 + 25.0 * self._n + 6.0 * self._of_laws
+        """Return the cost of a step, microseconds, in a run of `steps` steps."""
+        return self._prices.radau
 
     @property
     def resolved(self) -> bool:
@@ -276,13 +282,9 @@ class DOP853Runs(Runs):
     def _of(self, steps: float) -> float:
         instants = 8 * self._intervals
         evaluations = 12 * steps + instants
-        of_one = 16.0 + 0.12 * self._n if self._compiled else 1100.0
-        traits = self._system.traits
-        if not (traits.constant_mass and traits.constant_constraints):
-            of_one = max(of_one, 60.0 + self._n)
-        of_one += self._of_laws
         # Measured with up to three variables, each of which adds a row to the states.
-        return OF_A_RUN + evaluations * of_one * max(1.0, (1 + self._system.n_b) / 4)
+        rows = max(1.0, (1 + self._system.n_b) / 4)
+        return OF_A_RUN + evaluations * self._prices.evaluation * rows
 
     @property
     def left(self) -> float:

@@ -12,7 +12,9 @@ from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations import ErrorEstimates, MechanicalSystem, PlannedSystem, Solution
+from ancfdae.equations import ErrorEstimates, MechanicalSystem, Solution
+from ancfdae.equations.plans import CalledPlan, ListPlan
+from ancfdae.equations.system import planned
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
@@ -23,9 +25,6 @@ from ancfdae.studies.accuracy.waves import Numbers, Partials
 
 # Cost of a run without its steps, microseconds.
 OF_A_RUN = 2500.0
-# Cost, microseconds, of one evaluation of a load that changes with the motion, and of all driven
-# joints with their derivatives, in Python, by methods other than HHT-I3.
-_OF_A_LOAD, _OF_DRIVES = 30.0, 350.0
 # Relative error in place of infinity, from which numbers of steps can still be computed.
 _BEYOND = 1e30
 #: A run aims at an error of AIM times the tolerance.
@@ -87,6 +86,35 @@ class Wanted(NamedTuple):
         return self.partials is not None
 
 
+class Prices(NamedTuple):
+    """Measured costs of a step of HHT-I3, a step of Radau and an evaluation by DOP853.
+
+    In microseconds, with the derivatives of two or three variables. `small` is the additional cost
+    of the derivatives of a small step of HHT-I3 (`small_from`).
+    """
+
+    hht: float
+    small: float
+    radau: float
+    evaluation: float
+
+    @staticmethod
+    def of(system: MechanicalSystem) -> Prices:
+        """Return the costs for a scene, for lists of operations, or for functions of Python."""
+        plan, n, traits = planned(system), system.n_q, system.traits
+        if isinstance(plan, CalledPlan):
+            return Prices(360.0, 0.0, 2200.0, 280.0)
+        if isinstance(plan, ListPlan):
+            return Prices(2.0 + 0.5 * n, 0.0, 220.0 + 5.0 * n, 3.0 + n)
+        moving, driven = len(plan.moving), plan.joint_factors is not None
+        radau = 100.0 + 4.5 * n + 0.055 * n**2 + 25.0 * moving + 700.0 * driven
+        evaluation = 10.0 + 0.17 * n
+        if not (traits.constant_mass and traits.constant_constraints):
+            evaluation = 35.0 + 0.5 * n
+        evaluation += 12.0 * moving + 130.0 * driven
+        return Prices(4.0 + 0.5 * n, 45.0, radau, evaluation)
+
+
 class Runs(abc.ABC):
     """Runs of one integrator, with the step of each chosen for the tolerance from earlier runs.
 
@@ -100,12 +128,7 @@ class Runs(abc.ABC):
         system = wanted.system
         self._wanted, self._system, self._n, self._t_end = wanted, system, system.n_q, wanted.t_end
         self._tolerance, self._sizes = wanted.tolerance, wanted.sizes
-        plan = system.plan if isinstance(system, PlannedSystem) else None
-        self._compiled = plan is not None
-        self._of_laws = 0.0
-        if plan is not None:
-            self._of_laws = _OF_A_LOAD * len(plan.moving)
-            self._of_laws += _OF_DRIVES * (plan.joint_factors is not None)
+        self._prices = Prices.of(system)
         self.samples, self.estimates = list[Sample](), list[Estimate]()
         self.error = math.inf
 
