@@ -141,9 +141,9 @@ class _Halvings:
         self.error = task.relative(bars, x)
 
     def agrees(self, other: _Halvings, task: _Task) -> bool:
-        """Return whether estimates differ from those of `other` by no more than the bars of both.
+        """Return whether gaps to the estimates of `other` are at most three times the summed bars.
 
-        Also true if many runs of the other integrator gave no estimates.
+        Also true if many runs of `other` gave no estimates.
         """
         if not other.estimates:
             return other.runs >= 2 * _COMPARED
