@@ -13,8 +13,8 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorise, SaddlePoint
 from ancfdae.numerics.patterns import SparsityPattern
 
-#: The coupled matrix of stages: order and scale of the unknowns, places of blocks (i, j) in its K,
-#: and a band, or what factorises.
+#: Storage of the module's matrix: order and scale of the unknowns, positions of the blocks (i, j)
+#: in its K, and a band or a function that factorises.
 CoupledArrays: TypeAlias = tuple[Array, Array, Array, Band | None, Factorise | None]
 
 
