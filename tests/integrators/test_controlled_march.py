@@ -7,7 +7,9 @@ from ancfdae import (
     HHT,
     AdaptiveSteps,
     Beam,
+    Contact,
     FollowerForce,
+    InitialVelocity,
     Material,
     Pin,
     PointForce,
@@ -15,6 +17,7 @@ from ancfdae import (
     RigidBox,
     RotationDriver,
     Scene,
+    Sphere,
     assemble,
 )
 from ancfdae.integrators.hht.step import HHTStepper
@@ -46,6 +49,15 @@ def kicked_pendulum():
     follower = FollowerForce(rod.at_end, (0, 5.0), law=SmoothStep(0.0, 1.0, duration=0.2))
     scene = Scene([rod], [Pin(rod.at_start)], (0, -9.81), loads=[kick, follower])
     return assemble(scene, ["rod.height"]), 0.25
+
+
+def thrown_ball():
+    """A ball that flies freely, with steps as long as they like, until it meets a small sphere."""
+    ball = RigidBody("ball", (0, 0, 0), mass=1.0, inertia=(0.004,) * 3)
+    obstacle = Sphere((1.0, 0.01, 0.0), 0.02)
+    touch = Contact(ball.at(0, 0, 0), obstacle, stiffness=1e6, radius=0.02, name="wall")
+    start = [InitialVelocity("ball", (0, 0, 0), (0, 0, 0), (10.0, 0, 0))]
+    return assemble(Scene([], [], bodies=[ball], loads=[touch], start=start), ["ball.mass"]), 0.2
 
 
 def called_pendulum():
@@ -113,3 +125,12 @@ def test_a_law_that_raises_ends_the_run_with_its_error(monkeypatch):
     monkeypatch.setattr(HHTStepper, "_laws", broken)
     with pytest.raises(ZeroDivisionError, match="law"):
         HHT(AdaptiveSteps(1e-3)).integrate(system, t_end)
+
+
+def test_a_step_that_would_pass_over_a_contact_is_shortened():
+    system, t_end = thrown_ball()
+    run = HHT(AdaptiveSteps(1e-4), hht_alpha=-0.05).integrate(system, t_end)
+    assert run.outcome.success
+    assert run.statistics.rejected > 0
+    # It bounces off the sphere: without the check a step leads past it and the run is refused.
+    assert np.max(np.abs(run.v[-1] - run.v[0])) > 1.0
