@@ -299,7 +299,7 @@ def _of_large(small: Linearised, count: int, highest: bool, rigid: Array) -> Eig
     size = float(np.sqrt(np.max(np.abs(around.z))))
     if highest:
         return _highest(small, count, *sparse.damped(small, count, size, highest, rigid))
-    # Dense matrices are faster than the last ones.
+    # Dense matrices are faster than the largest numbers of vectors.
     for times in _TIMES if small.n_free > _DENSE_CROWDED else _TIMES[:3]:
         try:
             s, X = sparse.damped(small, times * (count + _MORE), size, highest, rigid)
