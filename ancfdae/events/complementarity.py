@@ -112,7 +112,7 @@ class Contacts:
     def _on_pyramids(
         self, A: Array, mu: Array, given: tuple[Array, Array], sides: int
     ) -> tuple[Array, Array, Array]:
-        """Solve the problem with pyramids for `given` r and N_0, scaled.
+        """Solve the complementarity problem with pyramids for scaled rates r and N_0, `given`.
 
         Return which contacts push beyond N_0, (m,), impulses N and T, (m + k,), and the sliding
         speed of each friction row, (k,).
@@ -172,7 +172,7 @@ class Contacts:
 
 
 class _Slip(NamedTuple):
-    """Directions d of sliding and mu N/|s|, (k,) each; zero in friction rows that do not slide."""
+    """Directions d of sliding and mu N/|s| of the k friction rows, zero in rows that stick."""
 
     direction: Array
     turn: Array

@@ -178,7 +178,7 @@ class FollowedObjective:
         return len(self._values)
 
     def follow(self, phase: PhaseStates) -> None:
-        """Evaluate the observables along the next phase."""
+        """Evaluate and store the observables of the objective along the next phase."""
         states, later = replace(phase.states, past=self._pasts[-1]), dict[object, float]()
         self._times.append(phase.times)
         for leaf, values in self._values.items():

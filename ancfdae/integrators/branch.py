@@ -127,7 +127,7 @@ class Place:
         return np.where(np.isfinite(sizes), sizes, np.inf)
 
     def _norms(self, changes: Array) -> Array:
-        """Return norm(X), (k,); after balancing where it is large, near the largest eigenvalue."""
+        """Return the Frobenius norms of X, (k,); large ones near the largest eigenvalue of X."""
         n_lam, n_used = self._form.shape
         X = self._form.matrices(changes).reshape(-1, n_used) @ self._P
         X = X.reshape(-1, n_lam, n_lam)

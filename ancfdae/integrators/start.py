@@ -196,7 +196,7 @@ def _refuse_inconsistent_derivatives(
 
 @final
 class _Moves(NamedTuple):
-    """Changes from a declared to its consistent start: dq and sigma_q, dv and sigma_v.
+    """Changes dq, dv from a declared to its consistent start, with multipliers sigma_q, sigma_v.
 
     `moving` are the factors of the differentiated matrix of step 1, `factors` of the matrix of step
     2.

@@ -106,7 +106,7 @@ def scaled_derivative(f: Callable[[float], Array]) -> Array:
 
 
 def _extrapolated(f: Callable[[float], Array]) -> tuple[Array, Array]:
-    """Return f'(0) and the last change of each entry, which estimates its error."""
+    """Return extrapolated central differences of f at 0 and their last change, by entry."""
     before: list[Array] = []
     best, change = np.zeros(()), np.array(np.inf)
     for step in _STEPS:

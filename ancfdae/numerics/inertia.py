@@ -189,7 +189,7 @@ class ConstrainedPattern:
 
     @cached_property
     def _entries(self) -> tuple[Array, Array, Array]:
-        """Return positions of the terms' entries in `matrix`; its rows and starts of columns."""
+        """Return indices of the terms' entries in `matrix`; its row indices and column starts."""
         K, B, n, size = self.K, self.B, self.K.shape[0], self.size
         i, j = (B.columns[pair] for pair in self.pairs)
         diagonal, multipliers = np.arange(n), n + B.rows

@@ -188,7 +188,7 @@ class _Chunks:
 
 
 def _given(system: MechanicalSystem, c: Coefficients, t: Array, states: tuple[Array, ...]) -> Array:
-    """Return the part of the right sides that does not depend on the pass, (k, n_b, n).
+    """Return -f_b and -Phi_b/(beta h^2), the explicit design terms of k steps, (k, n_b, n).
 
     Coefficients have the shape (k, 1).
     """

@@ -58,7 +58,7 @@ class Replay(RunInParts):
         return self._first.node
 
     def part(self, node: Node, first: int, last: int) -> tuple[Solution, Node]:
-        """Integrate the steps from time point `first` to `last` from the node."""
+        """Integrate from time point `first` to `last`, starting from the checkpoint `node`."""
         recorder, h = SolutionRecorder(self._problem.system, last - first + 1), self._steps.h
         stepper = HHTStepper(self._problem, self._steps.alpha, self._newton, None, recorder)
         recorder.record(*(stepper.recorded((node, None)) if first else stepper.consistent()))

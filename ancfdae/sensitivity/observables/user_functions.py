@@ -178,7 +178,7 @@ class _Formula:
         return self.operations.values(*used)
 
     def gradient(self, partials: Array, n_b: int) -> LeafGradient:
-        """Return partials in the inputs `columns`, (k, ...), sorted by states and design."""
+        """Return partials in q, v, lam and design from partials in the inputs `columns`."""
         begin, parts = len(self.columns[0]), list[Columns | None]()
         for at in self.columns[1:]:
             rows, begin = partials[:, begin : begin + len(at)], begin + len(at)
