@@ -13,10 +13,10 @@ from typing import ClassVar, NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import ErrorEstimates, MechanicalSystem, Solution
+from ancfdae.equations.plans import CalledPlan, ListPlan
 from ancfdae.equations.system import planned
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.problem import InitialValueProblem
-from ancfdae.kernels import CalledPlan, ListPlan
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.pulses import Pulses
 from ancfdae.studies.accuracy.bars import Estimate, refined
