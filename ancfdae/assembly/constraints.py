@@ -130,7 +130,7 @@ class JointFactors:
 @final
 @dataclass(frozen=True, eq=False)
 class JointPartials:
-    """Design partials of entries of L (U = L q) and of joint coefficients, by variable, joint."""
+    """Design partials of joint coefficients and of L (U = L q), for each variable and joint."""
 
     structure: JointStructure
     factors: JointFactors

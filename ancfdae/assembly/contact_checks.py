@@ -152,7 +152,7 @@ class _LoadContacts:
         self._suspects = list[_Suspect]()
 
     def follow(self, states: tuple[Array, Array, Array], begin: bool) -> None:
-        """Examine consecutive states, the first of which was examined before."""
+        """Examine the contacts in consecutive states, the first of which was examined before."""
         t, q, v = states
         F = self._groups.forces(self._load.force(q, v, t).real)
         for group in np.flatnonzero(np.any(F != 0, axis=0)).tolist():
@@ -161,7 +161,7 @@ class _LoadContacts:
             self._add_passed(each)
 
     def passes(self, states: tuple[Array, Array, Array]) -> bool:
-        """Whether surfaces touch between time points only; False for loads without a depth."""
+        """Whether surfaces touch between two time points only; False for loads without a depth."""
         if not isinstance(self._load.item.load, ContactLoad):
             return False
         t, q, v = states

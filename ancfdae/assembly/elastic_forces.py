@@ -175,7 +175,7 @@ class ElasticForces:
     def _partial_rates(
         self, q: Array, v: Array, rates: tuple[Array, Array], mu: Array | None
     ) -> Array:
-        """Return the derivatives of `_partials` at one time, along rates of q and v."""
+        """Return design partials of -Q_s differentiated at one time along rates of q and v."""
         moved = [(x + 1j * STEP * rate)[None] for x, rate in zip((q, v), rates, strict=True)]
         return np.asarray(self._partials(moved[0], moved[1], mu).imag / STEP)
 

@@ -227,11 +227,11 @@ class Energies:
         return self._elastic.energies(q) @ self._chosen(owner)
 
     def strain_q(self, q: Array, owner: str | None = None) -> Array:
-        """Return the gradient of `strain`, shape (k, n_q)."""
+        """Return the gradient of the strain energy in q, shape (k, n_q)."""
         return self._elastic.energy_q(q, self._chosen(owner))
 
     def strain_b(self, q: Array, owner: str | None = None) -> Array:
-        """Return the design partial of `strain`, shape (k, n_b)."""
+        """Return the design partial of the strain energy, shape (k, n_b)."""
         return self._elastic.energy_b(q, self._chosen(owner))
 
     def kinetic(self, v: Array, owner: str | None = None) -> Array:
@@ -247,7 +247,7 @@ class Energies:
         return self._inertia.owner_times(v, self._layout.owner(owner))
 
     def kinetic_b(self, v: Array, owner: str | None = None) -> Array:
-        """Return the design partial of `kinetic`, shape (k, n_b)."""
+        """Return the design partial of the kinetic energy, shape (k, n_b)."""
         number = None if owner is None else self._layout.owner(owner)
         return 0.5 * self._inertia.quadratic_b(v, number)
 

@@ -15,15 +15,15 @@ force.
 The axis of an element is a cubic, which cannot bend without stretching: an axis that turns by phi
 has a strain of phi^4/1920 at its middle, whatever its length. So the part of the strain that is not
 linear in xi (loads give the linear part) contributes to E A eps^2/2 an error of the mesh. A wire
-turns by fractions of a radian until this error exceeds its bending energy. Nor has a cubic the
-curvature of an arc: the energy of bending errs by up to phi^4/180 (measured;
-docs/theory/11-statics.md). So
+turns by fractions of a radian until this error exceeds its bending energy. A cubic does not have
+the curvature of an arc, either: the energy of bending errs by up to phi^4/180 (measured;
+docs/theory/11-statics.md). The error of the stiffness is
 
     eta = int E A eps_nl^2 + E I kappa^2 phi^4/180 ds / int E I kappa^2 + E A (eps^2 - eps_nl^2) ds
 
-is the error of the stiffness, in a beam without tension 1.2 (l/h)^2 (phi^3/1920)^2 + phi^4/180.
-Both terms grow as phi^4, and phi with the load: at given loads the energy errs by about 5 eta, and
-its derivative in the stiffness or in a load by up to 25 eta.
+In a beam without tension it is 1.2 (l/h)^2 (phi^3/1920)^2 + phi^4/180. Both terms grow as phi^4,
+and phi with the load: at given loads the energy errs by about 5 eta, and its derivative in the
+stiffness or in a load by up to 25 eta.
 
 The laws of beams and cables are linear in Green and Lagrange's strain E = (lambda^2 - 1)/2: where
 Hooke's law in the stretch, e = lambda - 1, gives the force E A e, they give 1 + 3 e/2 times it. The
@@ -133,7 +133,7 @@ class Folds:
     def _above(
         self, limit: float, measure: Callable[[_Alike, Array], Array], q: Array
     ) -> dict[str, float]:
-        """Return values by beam name, for the beams in which `measure` exceeds `limit`."""
+        """Return, by beam name, values of `measure` (a strain, say) that exceed `limit`."""
         values, Z = np.zeros(len(self._names)), q.real.reshape(-1, self._d)
         for own, _, group in self._groups:
             values[own] = measure(group, Z)

@@ -59,7 +59,7 @@ class MassBlocks:
 
     @cached_property
     def partials(self) -> MassPartials:
-        """Derivatives of the blocks in the design variables that change them."""
+        """Derivatives of the mass blocks in the design variables that change them."""
         return self.derivative()
 
     def chosen(self, owner: int | None) -> Array:
@@ -76,7 +76,7 @@ class _Mass:
     derivative: Callable[[], Array]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes to pickle: derivatives instead of the closure that makes them."""
+        """Return the attributes to pickle: derivatives in place of the closure that makes them."""
         return {**vars(self), "m_b": self.m_b, "derivative": None}
 
     @cached_property

@@ -144,7 +144,7 @@ class _Trace:
             )
 
     def _require_the_same(self, Phi: OperationList) -> None:
-        """Raise InvalidInputError if recorded joint equations give other values than calls."""
+        """Raise InvalidInputError if recorded equations and direct calls give different values."""
         item, joint = self._item, self._joint
         p, reference, laws = item.p.real, item.reference.real, item.factors(np.zeros(1), 0).real
         with np.errstate(all="ignore"):

@@ -230,7 +230,7 @@ def _placed(
 def _formula_entries(
     slots: list[Slot], layouts: list[JointLayout], d: int
 ) -> tuple[Array, Array, Array]:
-    """Return rows of Phi and components of U of all entries of Phi_U of formulas, row by row.
+    """Return rows of Phi and components of U for all entries of Phi_U given by formulas, by row.
 
     The first array has the number of such entries before each joint, and of all.
     """
@@ -247,7 +247,7 @@ def _formula_entries(
 def _counted(
     indices: list[tuple[Array, ...]], begin: Array, which: int
 ) -> tuple[Array, Array, Array]:
-    """Return rows, vectors and last index of coefficients, numbered over all joints.
+    """Return rows, vectors and last index of joint coefficients, numbered over all joints.
 
     They are the linear entries (`which` = 1), or the products (2), whose last index is a vector,
     too.

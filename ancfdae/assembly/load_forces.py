@@ -94,7 +94,7 @@ class LoadInput:
         return np.real(self.load.depth(U, signals, self.p, self.reference)[..., 0, 0])
 
     def closing(self, U: Array, M: Array, signals: Array) -> Array:
-        """Return bounds of the changes of depths by movements M, shape (k, n_copies); m."""
+        """Return bounds of the changes of contact depths by movements M, (k, n_copies); m."""
         assert isinstance(self.load, ContactLoad)
         return np.real(self.load.closing(U, M, signals, self.p, self.reference)[..., 0, 0])
 

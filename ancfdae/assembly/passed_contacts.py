@@ -81,7 +81,10 @@ class _Steps(NamedTuple):
 def passed_contacts(
     load: MovingLoad, groups: Grouped, states: tuple[Array, Array, Array], F: Array
 ) -> Iterator[Passed]:
-    """Yield the contacts of a load that steps pass over; F are its forces on the groups."""
+    """Yield contacts of a load between two time points at neither of which surfaces touch.
+
+    `F` are the load's forces on the groups at the time points.
+    """
     t, q, v = states
     if len(t) < 2:
         return

@@ -80,7 +80,10 @@ class RigidMotions:
         return np.asarray(np.einsum("vix,vx->vi", T, x[self._owner]).ravel())
 
     def reach(self, pattern: SparsityPattern, B: Array, T: Array) -> Array:
-        """Return the largest change of each row of B by shifts and by rotations, (n_rows, 2)."""
+        """Return the largest change of each row of B in translations and rotations, (n_rows, 2).
+
+        B are values of Phi_q on `pattern`, T the tangents of the rigid motions.
+        """
         vector, axis = np.divmod(pattern.columns, self._d)
         pair = pattern.rows.astype(np.int64) * self._count + self._owner[vector]
         order = np.argsort(pair, kind="stable")

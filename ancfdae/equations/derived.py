@@ -153,7 +153,7 @@ def is_value(name: str) -> bool:
 
 
 class Derived:
-    """A system with the formulas of the base class in place of overrides, by real differences.
+    """A system whose optional methods are replaced by real differences of its basic values.
 
     It has the attributes of `system`. In the time `time`, s, the system moves by its own size.
     """

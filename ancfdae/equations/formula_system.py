@@ -177,7 +177,7 @@ class FormulaSystem(ListedSystem):
         return np.diagonal(M).real.astype(float)
 
     def _require_the_same(self) -> None:
-        """Raise InvalidInputError if recorded operations differ from a formula's own values.
+        """Raise InvalidInputError if recorded operations and called formulas give different values.
 
         Values and derivatives are compared at the start and near it, because at the start itself
         Phi is round-off.

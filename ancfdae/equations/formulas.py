@@ -51,7 +51,7 @@ _BARE: ContextVar[bool] = ContextVar("_BARE", default=False)
 
 @contextmanager
 def bare() -> Iterator[None]:
-    """Within this context systems are made that store their b but no operation lists."""
+    """Context in which systems are constructed with their b but without operation lists."""
     token = _BARE.set(True)
     try:
         yield
@@ -60,7 +60,7 @@ def bare() -> Iterator[None]:
 
 
 def is_bare() -> bool:
-    """Whether systems are currently made without operation lists."""
+    """Whether systems are currently constructed without operation lists."""
     return _BARE.get()
 
 
@@ -184,7 +184,7 @@ class Formulas:
         return numbers
 
     def values(self, of: Value, *which: Any, rows: int | None = None, **at: Any) -> list[Array]:
-        """Return the values of `of` at one state, or at `rows` states given as rows of `at`."""
+        """Return values of the operations `of` at one state, or at states given as rows of `at`."""
         key = of.__name__, *which
         made = self._lists.get(key)
         if made is None:

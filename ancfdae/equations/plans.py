@@ -15,12 +15,12 @@ from ancfdae.numerics.patterns import Csr
 class Plan(NamedTuple):
     """A system of elements, joints and loads, for `Model` and `ComplexModel`.
 
-    `mass` is M on the system's pattern, `places` those of the elements' tangents on it, and M the
-    same without zeros. `loads` are rows of forces, and `B` is Phi_q with any values. Factors of
-    time are functions of instants, (k,): those of constraints with derivatives, (orders, k,
-    n_parts), None where nothing is driven, and those of loads, (k, n_loads), of `moving` ones
-    last. Of these it says whether they use velocities, and whether they turn with the motion
-    without being elastic, as numbers.
+    `mass` is the mass matrix on the system's pattern, `places` the indices of the elements'
+    tangents on it, and M the mass matrix without zeros. `loads` are rows of forces, and `B` is
+    Phi_q with any values. Time factors are functions of times, (k,): of constraints with
+    derivatives, (orders, k, n_parts), None if nothing is driven, and of loads, (k, n_loads), with
+    `moving` loads last. `moving` says whether they use velocities, `turning` whether they turn with
+    the motion without being elastic, as numbers.
     """
 
     block: Block
@@ -58,11 +58,11 @@ class ListPlan(NamedTuple):
     start: float = 0.0
 
     def joint_factors(self, t: Array, orders: int) -> Array:
-        """Return times, which the functions take where scenes have factors; (orders, k, 1)."""
+        """Return times in place of the time factors of a scene, shape (orders, k, 1); s."""
         return np.stack([self.start + t[:, None]] * orders)
 
     def load_factors(self, t: Array) -> Array:
-        """Return times, which the functions take where scenes have factors; (k, 1)."""
+        """Return times in place of the load factors of a scene, shape (k, 1); s."""
         return self.start + t[:, None]
 
 
@@ -83,11 +83,11 @@ class CalledPlan(NamedTuple):
     velocity: bool
 
     def joint_factors(self, t: Array, orders: int) -> Array:
-        """Return times, which the functions take where scenes have factors; (orders, k, 1)."""
+        """Return times in place of the time factors of a scene, shape (orders, k, 1); s."""
         return np.stack([t[:, None]] * orders)
 
     def load_factors(self, t: Array) -> Array:
-        """Return times, which the functions take where scenes have factors; (k, 1)."""
+        """Return times in place of the load factors of a scene, shape (k, 1); s."""
         return t[:, None]
 
 

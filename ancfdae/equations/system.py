@@ -379,9 +379,10 @@ class MechanicalSystem(ComplexSteps):
         return None
 
     def off_route(self, t: Array, q: Array, v: Array) -> tuple[int, str] | None:
-        """Return the first of k states up to which a part has left its route, and in words how.
+        """Return the first of k states up to which a part left its route, and a message.
 
-        q and v have the shape (k, n_q). It is called if the system is `routed`. None if no part is.
+        q and v have the shape (k, n_q). It is called if the system is `routed`. None if all parts
+        stay on their routes.
         """
         return None
 

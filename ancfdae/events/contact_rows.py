@@ -45,7 +45,8 @@ def contact_rows(
 ) -> tuple[Array, Array]:
     """Return rows W of gaps and sliding velocities, (m + k, n_q), and rates at v = 0, (m + k,).
 
-    States and designs may have small imaginary parts. With `smooth` only the m rows of gaps.
+    States and designs may have small imaginary parts. If `smooth`, rows of sliding velocities are
+    left out.
     """
     real = system
     if np.iscomplexobj(system.b):

@@ -261,12 +261,11 @@ def parse_target(text: str) -> Target:
     """
     match = _TARGET.fullmatch(str(text))
     if match is None:
-        raise InvalidInputError(
-            "design target",
-            "must read 'beam.parameter' or 'beam.parameter[element]'",
-            repr(text),
-            "For example 'pendulum.youngs_modulus' or 'rod.height[2]'.",
-        )
+        repair = "For example 'pendulum.youngs_modulus' or 'rod.height[2]'."
+        if text == "t_end":
+            repair = 'gradient and Responses take design=["t_end"]; give bounds to the optimiser.'
+        rule = "must read 'beam.parameter' or 'beam.parameter[element]'"
+        raise InvalidInputError("design target", rule, repr(text), repair)
     owner, parameter, element = match.groups()
     return Target(owner, parameter, None if element is None else int(element))
 

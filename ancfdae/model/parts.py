@@ -186,11 +186,11 @@ class Part(Designable, abc.ABC):
     def off_route(
         self, t: Array, U: Array, V: Array, p: Array, U_o: Array
     ) -> tuple[int, str] | None:
-        """Return the first of k states up to which the part has left its route, and in words how.
+        """Return the first of k states up to which the part left its route, and a message.
 
         U are the vectors at times t, (k, n_vectors, d), V their rates, and U_o the vectors in the
-        reference configuration. None if the part stays on its route. The words begin with a verb
-        and end with a remedy.
+        reference configuration. None if the part stays on its route. The message begins with a verb
+        and ends with a remedy.
         """
         return None
 

@@ -153,7 +153,7 @@ class Scene(SceneDesign):
         )
 
     def _freeze(self, name: str, kinds: tuple[type, ...], repair: str) -> None:
-        """Store a field as a tuple; InvalidInputError for an entry of none of these classes."""
+        """Store a sequence field as a tuple; InvalidInputError for an entry of another class."""
         parts = require_sequence(f"Scene.{name}", getattr(self, name))
         for part in parts:
             require_kind(f"Scene.{name}", part, kinds, repair)

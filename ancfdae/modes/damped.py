@@ -299,12 +299,12 @@ def _of_large(small: Linearised, count: int, highest: bool, rigid: Array) -> Eig
     size = float(np.sqrt(np.max(np.abs(around.z))))
     if highest:
         return _highest(small, count, *sparse.damped(small, count, size, highest, rigid))
-    # Dense matrices are faster than the last ones.
+    # Dense matrices are faster than the largest numbers of vectors.
     for times in _TIMES if small.n_free > _DENSE_CROWDED else _TIMES[:3]:
         try:
             s, X = sparse.damped(small, times * (count + _MORE), size, highest, rigid)
         except scipy.sparse.linalg.ArpackError:
-            # More vectors tell apart exponents that coincide.
+            # More vectors separate exponents that coincide.
             continue
         pairs = _lowest(small, count, rigid, s, X)
         if pairs is not None and _has_all_that_vibrate(small, count, rigid, s, pairs):

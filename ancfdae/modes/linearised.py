@@ -168,7 +168,7 @@ class Linearised:
         return Linearised(system, at, q_b, lam_b, matrices[0], D, *matrices[1:], saddle, mass)
 
     def words(self, scene: str, other: str) -> str:
-        """Return the advice `scene`, or `other` for a user's system, which has no elements."""
+        """Return the text `scene` for a scene, or `other` for a user's system without elements."""
         return other if self.system.naming is None else scene
 
     @property

@@ -139,8 +139,9 @@ def _quotients(small: Linearised, s: Array, X: Array) -> Array:
 # of which dense methods find (docs/measurements.md, "Modes").
 _DENSE, _DENSE_LOWEST, _DENSE_DAMPED = 300, 100, 120
 # Largest number of motions for which dense matrices replace Lanczos's method where the count shows
-# that it missed modes.
-_DENSE_MOST = 3000
+# that it missed modes, and as a multiple of the modes asked for the number up to which they do so
+# at once.
+_DENSE_MOST, _CHEAP = 3000, 12
 _UNCOUNTED = (
     "modes: more modes lie below the last one than were found, or round-off hides their number. "
     "Ask for another number of modes, or use fewer elements."
@@ -189,9 +190,9 @@ def _found(small: Linearised, count: int, asked: int, highest: bool) -> tuple[Ar
     if highest and large:
         found = highest_of_all(small, count, asked)
     elif not highest and small.n_free > max(_DENSE_LOWEST, 3 * count + _ROOM):
-        found = lowest(small, count, asked) or (
-            lowest_of_all(small, count, asked) if large else None
-        )
+        found = lowest(small, count, asked)
+        if found is None and large and small.n_free > min(_CHEAP * count, _DENSE_MOST):
+            found = lowest_of_all(small, count, asked)
     if found is not None:
         return found
     if small.n_free > _DENSE_MOST:

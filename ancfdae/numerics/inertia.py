@@ -83,7 +83,7 @@ class Fronts:
         to = places[: len(places) - m].astype(np.int32)
         entry_rows = (entries % (n + m)).astype(np.int32)
         signs = np.where(self.order < n, 1.0, -1.0)
-        #: The fronts, with places of values of K and of B.
+        #: The fronts, with the positions in them of entries of K and of B.
         arrays = *analysis, first, entry_rows, signs, self.order, chosen, to
         self.plan = FrontPlan(*arrays)
 

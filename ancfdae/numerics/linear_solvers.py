@@ -38,14 +38,13 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.inertia import ConstrainedPattern, Fronts, Terms
 from ancfdae.numerics.patterns import SparsityPattern
 
-#: Factorises a matrix for a `Model`: of terms, each a number and values of K, whose sum counts, and
-#: of B it makes a function of a right side and whether the matrix is transposed; None if the matrix
-#: is singular.
+#: Factorises the matrix of K, a sum of terms (factor, values), and of B, for a `Model`. Returns the
+#: solver, a function of the right side and of whether the matrix is transposed; None if singular.
 Factorise: TypeAlias = Callable[[Terms, Array], Callable[[Array, bool], Array] | None]
 
 
 class MatrixLayout(NamedTuple):
-    """Order and scale of the unknowns, and where values stand: in an envelope, a band or fronts."""
+    """Order and scale of the unknowns, and the storage of the entries: envelope, band or fronts."""
 
     order: Array
     scale: Array
@@ -346,10 +345,10 @@ def _narrow(K: SparsityPattern, B: SparsityPattern) -> _Places:
 
 
 def _envelope(order: Array, rows: Array, columns: Array, n: int, n_K: int, n_B: int) -> Envelope:
-    """Return L D L^T of symmetric K: the lower triangle, each column from its diagonal to its end.
+    """Return the storage for L D L^T of symmetric K: lower triangle, columns up to their ends.
 
-    A column ends with its last entry, but not before the one to its left, so that the factors fill
-    the same places. Places of entries of B^T are left out.
+    A column ends with its last entry, but not before the end of the one to its left, so that the
+    factors fit into the same storage. Entries of B^T are left out.
     """
     size = len(order)
     lower = rows >= columns
@@ -364,7 +363,7 @@ def _envelope(order: Array, rows: Array, columns: Array, n: int, n_K: int, n_B: 
 
 
 def _factor_in_envelope(envelope: Envelope, terms: Terms, B: Array) -> Factorization | None:
-    """Factorise; None where a pivot has not its sign."""
+    """Factorise in an envelope; None if a pivot has a wrong sign."""
     factors, failed = envelope.factor(terms, B)
     return None if failed else Factorization(lambda right, _: envelope.solve(factors, right.T).T)
 
@@ -380,7 +379,7 @@ class _BandStorage(_Storage):
         self._scale, self._n = scale, n
         numbered = scale[places.order]
         factors = numbered[places.rows] * numbered[places.columns]
-        #: Places of all values, and what scales them.
+        #: Positions of all entries in the band, and factors that scale them.
         self.band = Band(places.half_width, places.flat, factors, places.order)
 
     def factor(self, K: Array, B: Array) -> Factorization:

@@ -16,7 +16,7 @@ import scipy
 from ancfdae.kernels import csr_rows
 from ancfdae.numerics.arrays import Array
 
-#: A matrix in compressed sparse rows: where rows begin, columns, values.
+#: A matrix in compressed sparse rows: starts of rows, columns, values.
 Csr: TypeAlias = tuple[Array, Array, Array]
 
 

@@ -344,7 +344,7 @@ class Question:
     max_steps: int
 
     def numbers(self, system: MechanicalSystem, integrator: HHT) -> Array:
-        """Return value and scaled derivatives, (1 + n_b,); zero for variables the model lacks."""
+        """Return objective and scaled derivatives, (1 + n_b,); 0 for variables a model lacks."""
         numbers = np.zeros(len(self.scale))
         if not system.n_b:
             solution = simulate(system, self.t_end, integrator)

@@ -59,7 +59,7 @@ class _Description:
         self._alive: list[object] = []  # so that no id is reused for another object
 
     def of(self, value: Any) -> Iterator[bytes]:
-        """Yield the description of a value, piece by piece."""
+        """Yield the description of a value as bytes, piece by piece."""
         if isinstance(value, _PLAIN):
             yield repr(value).encode()
         elif id(value) in self._numbers:

@@ -12,8 +12,12 @@ from ancfdae import (
     Adjoint,
     AtTimes,
     DirectDifferentiation,
+    Impact,
+    InitialVelocity,
     Integral,
     Radau,
+    RigidBody,
+    Scene,
     SmoothMaximum,
     Terminal,
     gradient,
@@ -22,7 +26,7 @@ from ancfdae import (
 )
 from ancfdae.errors import InvalidInputError
 from ancfdae.events import adjoint
-from ancfdae.observables import position, slope_angle
+from ancfdae.observables import position, rotation_angle, slope_angle
 from tests.support.balls import BOUNCE, HEIGHT, Ball, ball_by_hand, slopes_by_hand
 from tests.support.rods_on_stops import rod_on_a_stop
 
@@ -37,6 +41,7 @@ def test_kept_times_have_the_height_of_the_closed_form(integrator):
     # Each of the three phases keeps its ends, two of which are the ends of the run.
     assert len(run.t) == len(times) + 4
     assert set(times) <= set(run.t)
+    assert np.all(np.diff(run.t) >= 0)
     exact = [ball_by_hand(t, Ball().b) for t in run.t]
     np.testing.assert_allclose(run.q[:, 0], exact, atol=1e-9)
     assert [x.time for x in run.events] == [x.time for x in once.events]
@@ -156,6 +161,23 @@ def test_modes_turns_and_the_end_time_keep_within_the_limit(repeated):
     assert repeated
     assert limited.value == pytest.approx(direct.value, rel=1e-13)
     np.testing.assert_allclose(limited.gradient, direct.gradient, rtol=1e-9)
+
+
+def test_angle_keeps_its_turns_from_phase_to_phase(repeated):
+    # omega t counts turns: the integral of its square is omega^2 T^3 / 3.
+    body = RigidBody("body", (0, 1), mass=1.0, inertia=0.1)
+    spins = InitialVelocity("body", 8.0, about=(0, 1))
+    scene = Scene(bodies=[body], gravity=(0, -10.0), start=[spins])
+    settings = {"design": ["body.angular_velocity"], "events": [
+        Impact(position(body.at(0, 0), 1) - 0.2, 0.9, "floor")
+    ]}  # fmt: skip
+    objective = Integral(rotation_angle(body.at(0, 0)) ** 2)
+    for limit in ({}, {"memory": "100 kB"}):
+        found = gradient(scene, objective, 2.5, Radau(0.02), **settings, **limit)
+        assert found.value == pytest.approx(64 * 2.5**3 / 3, rel=1e-6)
+        np.testing.assert_allclose(found.gradient, [16 * 2.5**3 / 3], rtol=1e-6)
+    assert len(found.event_solution.events) > 2
+    assert repeated
 
 
 def test_memory_is_a_limit_of_the_adjoint_only():

@@ -19,9 +19,12 @@ from ancfdae import (
     gradients,
     simulate,
 )
+from ancfdae.equations.event_solution import EventRecord, EventSolution
 from ancfdae.errors import InvalidInputError, ToleranceWarning
+from ancfdae.events.calls import EventRun
 from ancfdae.extend import FormulaSystem
 from ancfdae.observables import custom, elapsed_time, position
+from ancfdae.studies.accuracy import event_search
 from tests.support.balls import BOUNCE, HEIGHT, Ball, ball_by_hand, slopes_by_hand
 from tests.support.rods_on_stops import rod_on_a_stop
 
@@ -204,3 +207,18 @@ def test_runs_that_cannot_be_compared_are_refused_in_words():
     late = (np.pi / 2 + 3 * np.pi) / 3 + 0.02
     with pytest.raises(InvalidInputError, match="must meet the same events"):
         error_bars(Spring(SPRING), Terminal(PLACE), late, HHT(0.2), levels=3, events=[WALL])
+
+
+def test_runs_that_meet_other_events_are_not_compared():
+    run = EventRun.of(Ball(), 3.2, HHT(0.05), [BOUNCE], None, None, False)
+    met = iter([1, 1, 1, 2, 2, 2])
+
+    def measure(run):
+        record, steps = EventRecord("wall", 1.0, "start"), run.integrator.steps.step
+        solution = EventSolution((), (record,) * next(met), None)
+        return [np.array([1.0 + steps**2])], solution, None
+
+    task = event_search._Task(run, measure, event_search.norms, False)
+    halvings = event_search._Halvings("HHT", HHT, 2, 64, 1.0)
+    finite = [np.isfinite(halvings.take(task).error) for _ in range(6)]
+    assert finite == [False, False, True, False, False, True]

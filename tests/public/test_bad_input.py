@@ -451,6 +451,7 @@ def test_node_state_takes_nested_lists():
         (["rod.height[-1]"], "design target", "'rod.height[-1]'"),
         (["rod.length[0]"], "design target rod.length[0]", "Write rod.length, without an index."),
         (["rod"], "design target", "'rod'"),
+        ([DesignVariable("height", ["rod.height"]), "t_end"], "design target", "Responses take"),
         (["rod.height[a]"], "design target", "rod.height[2]"),
         (5, "design", "sequence"),
         ([3], "design target", "3"),

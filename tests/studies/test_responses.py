@@ -14,8 +14,12 @@ from ancfdae import (
     HHT,
     DesignVariable,
     DirectDifferentiation,
+    MotorTorque,
     Responses,
+    RigidBody,
+    Scene,
     Terminal,
+    distributed_variables,
     gradients,
 )
 from ancfdae.errors import (
@@ -25,7 +29,8 @@ from ancfdae.errors import (
     UnfinishedRunError,
     UnknownNameError,
 )
-from ancfdae.observables import custom, mass, position
+from ancfdae.laws import BSpline
+from ancfdae.observables import custom, elapsed_time, mass, position
 from ancfdae.sensitivity.method import GradientMethod
 from tests.support.mechanisms import CartesianPendulum
 from validation.scenes import pendulum
@@ -283,3 +288,15 @@ def test_the_wrapper_for_jax_in_the_documents_has_the_gradient_of_the_run():
     # In double precision, whose round-off alone differs.
     np.testing.assert_allclose(names["slope"], 0.1 * weights @ r.jacobian(x), rtol=1e-13)
     assert float(names["value"]) == pytest.approx(r["miss"](x) + r["y"](x) ** 2, rel=1e-13)
+
+
+def test_distributed_variables_carry_their_bounds_to_an_optimiser_beside_a_free_end_time():
+    """Bounds are those of the scaled variables; the end time is positive."""
+    ball = RigidBody("ball", (0, 0), mass=1.0, inertia=0.1)
+    spin = MotorTorque(ball.origin, 1.0, law=BSpline(0.0, 1.0, [0.0, 1.0]), name="spin")
+    scene = Scene(bodies=[ball], loads=[spin])
+    design = [*distributed_variables("spin.value", 2, (-4.0, 6.0)), "t_end"]
+    functions = {"time": Terminal(elapsed_time())}
+    bounds = Responses(scene, functions, 0.5, HHT(0.1), design=design, scale=[2.0, 2.0, 1.0]).bounds
+    assert bounds.lb.tolist() == [-2.0, -2.0, 0.0]
+    assert bounds.ub.tolist() == [3.0, 3.0, np.inf]

@@ -376,7 +376,7 @@ class Cable(BeamElement):
 
 @final
 class _CableIntegrals(ElementIntegrals):
-    """A and m of unit moduli, times E A and rho A of each element, and the flexural stiffness."""
+    """Integrals A and m of cables: of unit moduli, times E A and rho A; and flexural stiffness."""
 
     def __init__(self, batch: Batch) -> None:
         self._batch, self._moduli, self._units = batch, _moduli(batch), _integrals()

@@ -177,7 +177,7 @@ def relative_places(element: BeamElement, wider: BeamElement) -> Array:
 
 
 def widened(narrow: Invariants, element: BeamElement, wider: BeamElement) -> Invariants:
-    """Return invariants with the size of element `wider`, zero for vectors that `element` lacks."""
+    """Return invariants of `element` with the size of `wider`, zero for vectors it lacks."""
     n_y, at = wider.n_y, element.places_in(wider)
     packed = np.zeros((n_y, n_y), dtype=np.int64)
     packed[upper_triangle(n_y)] = np.arange(n_y * (n_y + 1) // 2)

@@ -137,9 +137,9 @@ class SlidingJoint(FormulaJoint):
 
 
 def _reached(t: Array, s: Array, s_t: Array) -> tuple[Array, Array]:
-    """Return the least and largest arc length up to each time since the one before, (k,) each.
+    """Return least and largest arc length between each time and the one before, (k,) each; m.
 
-    Between two times they are those of the cubic through arc lengths and rates.
+    Between two times the arc length is the cubic through arc lengths and rates.
     """
     h, a, b = np.diff(t), s_t[:-1], s_t[1:]
     mean = np.diff(s) / h

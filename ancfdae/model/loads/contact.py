@@ -132,7 +132,7 @@ class ObstacleContact(ContactLoad, abc.ABC):
         return self.other is not None
 
     def numbers_of(self, name: str) -> dict[str, float]:
-        """Return the numbers of a design field; ``obstacle_place_x`` ... for the obstacle."""
+        """Return the numbers of a design field; of the obstacle as ``obstacle_place_x`` ..."""
         numbers = super().numbers_of(name)
         if name != "obstacle":
             return numbers

@@ -276,7 +276,7 @@ class Controller(Load):
     def _require(
         self, method: str, given: Sequence[Any], wanted: Sequence[Any], what: str, each: str
     ) -> None:
-        """Raise InvalidInputError unless a controller's method returns as many numbers as due."""
+        """Raise InvalidInputError unless a controller's method returns `wanted` values."""
         if len(given) != len(wanted):
             where = f"{method} of {self.kind} {self.name!r}"
             rule, repair = f"must return {len(wanted)} {what}", f"Return one for each {each}."

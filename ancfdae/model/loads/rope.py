@@ -32,13 +32,13 @@ from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.vector_formulas import angle, concatenate, cross, dot, positive
 
-# Steps that move a place by more than this part of the shortest tangent are looked at on the way,
-# at this number of places.
+# Largest motion of a point in a step, over the shortest tangent, without checks within the step;
+# number of points of the step that are otherwise checked.
 _LONG, _PLACES = 0.1, 33
-# Squared length of a tangent, over that between the centres, below which it counts as none.
+# Squared length of a tangent, over the squared distance of the centres, that counts as zero.
 _LEAST = 1e-12
 
-#: A point of a body, or a place on the ground.
+# : A point of a body, or a position on the ground.
 Place: TypeAlias = MaterialPoint | Sequence[float]
 
 
@@ -378,10 +378,11 @@ class Rope(Load):
     def off_route(
         self, t: Array, U: Array, V: Array, p: Array, U_o: Array
     ) -> tuple[int, str] | None:
-        """Return the first state up to which the rope leaves a pulley, or a place enters one.
+        """Return the index of the first state up to which the rope left a pulley, and a message.
 
-        Steps in which a place moves by more than a part _LONG of the shortest tangent are looked at
-        along the cubic through their ends.
+        A rope also leaves its route if a point or centre enters a pulley. If points move by more
+        than the fraction _LONG of the shortest tangent in a step, the cubic through the ends of the
+        step is checked.
         """
         off = self._off_at(U, p, U_o)
         shape, h = (len(U), 1, 1), np.diff(t)[:, None, None]
@@ -401,7 +402,7 @@ class Rope(Load):
         return off
 
     def _off_at(self, U: Array, p: Array, U_o: Array) -> tuple[int, str] | None:
-        """Return the first state in which the rope is off a pulley, or a place inside of one."""
+        """Return the first state with a rope off a pulley or a point in one, and a message."""
         V = np.zeros_like(U)
         found, names = list[tuple[Any, str]](), tuple(self._places)
         for k, (a, b) in enumerate(pairwise(self._stations(U, V, p, U_o))):
@@ -517,7 +518,7 @@ def _turned(u: Any, axis: Any) -> Any:
 
 
 def _in_plane(D: Any, axis: Any) -> Any:
-    """Return the part of a vector across an axis, all of it in the plane."""
+    """Return the component of a vector perpendicular to an axis; in the plane the vector."""
     return D if axis is None else D - dot(D, axis) * axis
 
 
@@ -535,7 +536,7 @@ def _tangent(D: Any, rise: Any, axis: Any) -> Any:
 
 
 def _apart(a: _Station, b: _Station) -> tuple[Any, tuple[Any, Any]]:
-    """Return the vector from centre to centre, and the differences of radii seen by both."""
+    """Return the vector from centre a to centre b, and the difference of radii for either axis."""
     D, alike = b.U[..., :1, :] - a.U[..., :1, :], 1.0
     if a.axis is not None and b.axis is not None:
         alike = dot(a.axis + 0.0 * b.axis, b.axis)

@@ -52,7 +52,7 @@ class CarriedAxes:
         return rows if self.ground else self._weights(rows) @ _basis(self.U)
 
     def pull_back(self, rows: Array, G: Any) -> Any:
-        """Return a function's gradient in U from G, its gradient in the carried axes `rows`."""
+        """Return a gradient in slopes U from G, the gradient in the carried directions `rows`."""
         return _on_slopes(self.U, np.swapaxes(self._weights(rows), -1, -2) @ G)
 
     def _weights(self, rows: Array) -> Array:
@@ -67,7 +67,7 @@ def _basis(U: Any) -> Any:
 
 
 def _on_slopes(U: Any, G: Any) -> Any:
-    """Return a function's gradient in section slopes U from G, its gradient in `_basis(U)`."""
+    """Return a gradient in section slopes U from G, the gradient in the basis `_basis(U)`."""
     if U.shape[-1] == 2:
         return G[..., 1:, :] - G[..., :1, :] @ QUARTER_TURN
     r_y, r_z = U[..., :1, :], U[..., 1:, :]

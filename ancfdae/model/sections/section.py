@@ -188,7 +188,7 @@ class Section(abc.ABC):
 
 
 def columns(sizes: Array) -> tuple[Array, ...]:
-    """Return each size as a column, shape (n, 1), to combine with points of shape (n, n_f)."""
+    """Return each size of n sections as a column, (n, 1), to combine with points, (n, n_f)."""
     return tuple(sizes.T[..., None])
 
 

@@ -263,7 +263,7 @@ def _of_steps(
 
 
 def _fall(differences: Array, order: int) -> bool:
-    """Whether two differences of values and of each derivative fall with the order."""
+    """Return whether two differences of values and of each derivative fall with the order."""
     if len(differences) < 2:
         return False
     columns = np.abs(differences).T
@@ -284,7 +284,7 @@ def _refined(settings: Integrator, run: Gradient) -> Integrator:
 
 
 def _require_halving(integrator: Integrator, meshes: int) -> None:
-    """Refuse steps of runs with events that cannot be halved in all phases, and several meshes."""
+    """Raise InvalidInputError for several meshes, or steps with events that cannot be halved."""
     if meshes != 1:
         raise InvalidInputError(
             "meshes", "must be 1 with events", meshes, "Leave out meshes to compare steps."
@@ -295,7 +295,7 @@ def _require_halving(integrator: Integrator, meshes: int) -> None:
 
 
 def _require_same_events(runs: Sequence[Gradient]) -> None:
-    """Refuse runs that meet different events, since they are of different motions."""
+    """Raise InvalidInputError for runs with different events, whose motions differ."""
     names = [[x.name for x in cast("EventSolution", run.event_solution).events] for run in runs]
     if any(each != names[-1] for each in names):
         rule = "must meet the same events in all runs to compare them"

@@ -1,10 +1,11 @@
 """Runs with events to a tolerance: HHT-I3 and Radau at fixed steps that are halved.
 
-Three runs of each integrator that meet the same events say what a tolerance costs. The cheaper one
-goes on until its bars are below the tolerance. A bar is the difference of the last two runs where
-differences of three runs fall with the order of the integrator, and else a multiple of differences
-(`bars.unresolved`). Nothing is extrapolated: numbers of steps of short phases are not halved
-exactly. The two integrators must agree within the bars, since each could damp what the other shows.
+Three runs of each integrator that meet the same events predict the cost of a tolerance. Runs of the
+cheaper integrator continue until its bars are below the tolerance. A bar is the difference of the
+last two runs if differences of three runs fall with the order of the integrator, else a multiple of
+differences (`bars.unresolved`). Nothing is extrapolated, because numbers of steps of short phases
+are not halved exactly. The two integrators must agree within the bars, since each could damp waves
+that the other one resolves.
 """
 
 from __future__ import annotations
@@ -49,14 +50,14 @@ from ancfdae.studies.events import gradients, reached
 # Most work of a search, about as many microseconds; work of a step of HHT-I3 without coordinates
 # and for each of them, of a step of a system that runs in Python, and of a step of Radau over it.
 _MOST, _OF_A_STEP, _OF_A_COORDINATE, _IN_PYTHON, _OF_RADAU = 4e7, 4.0, 0.7, 1300.0, 8.0
-# Runs of one integrator that are compared.
+# Number of runs of one integrator that are compared.
 _COMPARED = 3
-# Part of the tolerance at which runs aim; bars by which two integrators may differ.
+# Fraction of the tolerance at which runs aim; most bars by which two integrators may differ.
 _AIM, _CONTRADICTS = 0.7, 3.0
 
 
 class _Taken(NamedTuple):
-    """A run: its number of steps without events, the wanted vectors, what happened, the result."""
+    """A run: its number of steps without events, the wanted vectors, its events, and the result."""
 
     integrator: Integrator
     intended: int
@@ -66,7 +67,7 @@ class _Taken(NamedTuple):
 
 
 class _Task(NamedTuple):
-    """The task of a search: a run with any integrator, its vectors, and their sizes."""
+    """The task of a search: a run with any integrator, its wanted vectors, and their sizes."""
 
     run: EventRun
     measure: Callable[[EventRun], tuple[list[Array], EventSolution, object]]
@@ -74,14 +75,14 @@ class _Task(NamedTuple):
     along: bool
 
     def relative(self, parts: Sequence[Array], of: Sequence[Array]) -> float:
-        """Return the largest norm of some vectors, relative to the sizes of others."""
+        """Return the largest norm of vectors `parts`, relative to the sizes of vectors `of`."""
         pairs = zip(norms(parts), self.sizes(of), strict=True)
         return max((ratio(x, size) for x, size in pairs), default=0.0)
 
 
 @final
 class _Halvings:
-    """Runs of one integrator, each with twice the steps of the one before."""
+    """Runs of one integrator, each with twice the steps of the run before."""
 
     def __init__(
         self, name: str, at: Callable[[float], Integrator], order: int, first: int, price: float
@@ -100,7 +101,7 @@ class _Halvings:
         return self._at(t_end / self.count)
 
     def left(self, tolerance: float) -> float:
-        """Estimated work to the tolerance, microseconds: of all runs up to one that reaches it."""
+        """Estimated work of all runs up to one that reaches the tolerance, microseconds."""
         missing = _COMPARED - len(self.taken)
         if missing <= 0:
             order = self._order if self.ordered else 1
@@ -108,7 +109,7 @@ class _Halvings:
         return self.work * (2.0**missing - 1)
 
     def take(self, task: _Task) -> Trial:
-        """Make and judge the next run. Runs with other events are of another motion."""
+        """Make and judge the next run; earlier runs with other events are discarded."""
         run, clock = replace(task.run, integrator=self.setting(task.run.t_end)), stopwatch()
         steps, count = 0, self.count
         self.count, self.runs = 2 * count, self.runs + 1
@@ -125,7 +126,7 @@ class _Halvings:
         return Trial(run.integrator, steps, clock(), self.error)
 
     def _judge(self, task: _Task) -> None:
-        """Compare the last runs."""
+        """Estimate errors from the last three runs."""
         self.estimates, self.error, last = [], math.inf, self.taken[-_COMPARED:]
         if len(last) < _COMPARED:
             return
@@ -140,9 +141,9 @@ class _Halvings:
         self.error = task.relative(bars, x)
 
     def agrees(self, other: _Halvings, task: _Task) -> bool:
-        """Whether the estimates are those of other runs within their bars.
+        """Return whether gaps to the estimates of `other` are at most three times the summed bars.
 
-        True where many runs of the other integrator gave no estimates.
+        Also true if many runs of `other` gave no estimates.
         """
         if not other.estimates:
             return other.runs >= 2 * _COMPARED
@@ -152,7 +153,7 @@ class _Halvings:
 
     @property
     def words(self) -> str:
-        """A sentence that says what bars are made of."""
+        """A sentence that says from which runs the bars follow."""
         counts = ", ".join(str(each.intended) for each in self.taken[-_COMPARED:])
         how = "fall with its order" if self.ordered else "have no order, which bars allow for"
         return f"{self.name}: differences of runs with {counts} steps and the same events {how}"

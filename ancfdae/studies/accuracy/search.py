@@ -446,7 +446,7 @@ def observed_within(
 
 
 def estimates_of(reached: Found, tolerance: float, times: Array) -> ObservableEstimates:
-    """Put the estimates of a search beside its finest run."""
+    """Return estimates of observables with the finest run of a search."""
     assert isinstance(reached.result, Solution | EventSolution)
     values, bars = (
         np.stack(x, axis=1) for x in zip(*((e.x, e.bar) for e in reached.estimates), strict=True)
@@ -493,5 +493,5 @@ def _interpolated(values: Array, run: States, times: Array) -> Array:
 
 
 def norms(vectors: Sequence[Array]) -> list[float]:
-    """Return the Euclidean norms of vectors."""
+    """Return the Euclidean norms of vectors, a list."""
     return [float(np.linalg.norm(each)) for each in vectors]
