@@ -240,7 +240,7 @@ template <class V> struct Object : Holder {
     static inline PyTypeObject *type;
 };
 
-/* The types whose objects may hold complex numbers; these have `V::in_complex`. */
+/* The types whose objects may hold complex numbers: `V::in_complex` is not constant. */
 std::vector<PyTypeObject *> TYPES;
 
 /* An argument that must be such an object. */
@@ -631,7 +631,8 @@ void type_added(PyObject *module, const char *names, const char *what,
     static Text name = Text("ancfdae.kernels._kernels.") + V::NAME;
     static PyType_Spec spec = {name.c_str(), sizeof(Object<V>), 0, Py_TPFLAGS_DEFAULT, slots};
     Object<V>::type = (PyTypeObject *)made(PyType_FromSpec(&spec)).release();
-    TYPES.push_back(Object<V>::type);
+    if (!std::is_const<decltype(V::in_complex)>::value)
+        TYPES.push_back(Object<V>::type);
     if (PyModule_AddType(module, Object<V>::type) < 0)
         throw Failed();
 }

@@ -329,8 +329,7 @@ template <class T, class M> std::vector<PyMethodDef> drivers()
         declared<OfSelf<Bound<stages>>>("solve_stages",
             "coupled, state, x, lam, of_joints, of_loads, settings",
             "Solve for the stages of a step of Radau IIA, from (q, v, a, lam) before it.\n\n"
-            "Coupled is (order, scale, places of blocks (i, j) in K, a `Band` or None, what\n"
-            "factorises or None). Factors are those at the stages and at the start, (4, n_parts) and\n"
+            "Factors are those at the stages and at the start, (4, n_parts) and\n"
             "(4, n_loads). Settings are c, A^-1 and A^-2, and `StageRules` of `stages.h`. Returns how\n"
             "it ends, the size of the last correction, and counts of iterations, factorisations and\n"
             "whether round-off ended it."),
@@ -339,6 +338,10 @@ template <class T, class M> std::vector<PyMethodDef> drivers()
 
 void models_added(PyObject *module)
 {
+    type_added<CoupledMatrix>(
+        module, "order, scale, places, band, factorise",
+        "The coupled matrix of stages: order and scale of the unknowns, places of blocks (i, j) in\n"
+        "its K, and a `Band` or what factorises, as a `Model` takes it.", {});
     auto methods = drivers<double, Model>();
     methods.insert(
         methods.end(),

@@ -37,7 +37,7 @@ struct OperationList {
         std::tuple<Size, Numbers, Indices, Indices, Indices, Indices, Indices, std::vector<Ref>>;
     Arguments of;
     Operations list;
-    bool in_complex = false;
+    static constexpr bool in_complex = false;
 
     explicit OperationList(Arguments arguments) : of(std::move(arguments))
     {
@@ -82,7 +82,7 @@ struct OperationTrace : Trace {
     static constexpr const char *NAME = "OperationTrace",
                                 *MISSING = "the first argument must be a list in the making";
     using Arguments = std::tuple<Size>;
-    bool in_complex = false;
+    static constexpr bool in_complex = false;
 
     explicit OperationTrace(Arguments arguments) : Trace(std::get<0>(arguments))
     {
@@ -207,7 +207,7 @@ struct ListAccelerations final : Accelerations {
     Index1System system = {};
     std::unique_ptr<double[]> memory;
     std::unique_ptr<int[]> rows_exchanged;
-    bool in_complex = false;
+    static constexpr bool in_complex = false;
 
     explicit ListAccelerations(Arguments arguments) : of(std::move(arguments))
     {
@@ -296,7 +296,7 @@ struct ExplicitRun : ExplicitSteps {
     std::optional<CalledAccelerations> functions;
     std::vector<Items> kept;
     std::unique_ptr<double[]> memory;
-    bool in_complex = false;
+    static constexpr bool in_complex = false;
 
     explicit ExplicitRun(Arguments arguments) : ExplicitSteps()
     {

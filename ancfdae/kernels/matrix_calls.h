@@ -135,7 +135,7 @@ struct Band {
     using Arguments = std::tuple<Size, Longs, Array<double, 1>, Longs>;
     Arguments of;
     Size half, n, width;
-    bool in_complex = false;
+    static constexpr bool in_complex = false;
 
     explicit Band(Arguments arguments) : of(std::move(arguments))
     {
@@ -226,7 +226,7 @@ struct Envelope {
     Array<double, 1> signs;
     Longs order;
     Size n, size;
-    bool in_complex = false;
+    static constexpr bool in_complex = false;
 
     static Size size_of(const Indices &first)
     {
@@ -290,7 +290,7 @@ struct FrontPlan {
     Arguments of;
     Fronts fronts;
     std::optional<LowerPlaces> lower;
-    bool in_complex = false;
+    static constexpr bool in_complex = false;
 
     explicit FrontPlan(Arguments arguments) : of(std::move(arguments))
     {

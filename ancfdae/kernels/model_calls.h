@@ -237,7 +237,7 @@ struct Model : Planned<double> {
     using Arguments = std::tuple<Ref, Fields<5>, Array<double>, Ref>;
     Items layout;
     std::optional<CalledSolver> solver;
-    bool in_complex = false;
+    static constexpr bool in_complex = false;
 
     explicit Model(Arguments arguments)
         : Planned<double>(std::get<0>(arguments), std::get<2>(arguments)),
@@ -296,7 +296,7 @@ struct ComplexModel : Planned<Complex> {
                                 *MISSING = "the first argument must be a complex model";
     using Arguments = std::tuple<Ref, Kept<Model>, Array<double>>;
     Kept<Model> model;
-    bool in_complex = true;
+    static constexpr bool in_complex = false; /* `Either` is not asked. */
 
     explicit ComplexModel(Arguments arguments)
         : Planned<Complex>(std::get<0>(arguments), std::get<2>(arguments)),
@@ -535,34 +535,48 @@ std::tuple<int, int, double, int> py_rest(Kept<M> model, Fields<4> state, Fields
 
 /* ---- stages --------------------------------------------------------------------------------- */
 
-/* The coupled matrix of stages of a plan, with its room, from (order, scale, places, band or None, a
- * function that factorises or None). */
+/* The coupled matrix of stages: order and scale of unknowns, places of blocks, a band or a function. */
+struct CoupledMatrix {
+    static constexpr const char *NAME = "CoupledMatrix", *MISSING = "there must be a coupled matrix";
+    using Arguments =
+        std::tuple<Longs, Array<double, 1>, Longs, std::optional<Kept<Band>>, Ref>;
+    Arguments of;
+    static constexpr bool in_complex = false;
+
+    explicit CoupledMatrix(Arguments arguments) : of(std::move(arguments))
+    {
+        auto &[order, scale, places, band, function] = of;
+        must(order.size <= INT_MAX && scale.size == order.size &&
+                 within(order, 0, order.size - 1) && within(places, 0, places.size - 1) &&
+                 (band ? (*band)->n == order.size : function.get() != Py_None),
+             "a coupled matrix must have an order, a scale, and a band or a function");
+    }
+};
+
+/* The same for a plan, with room. */
 struct Coupled {
     std::optional<CalledSolver> solver;
     std::unique_ptr<double[]> reals;
     std::unique_ptr<int[]> pivots;
     StageMatrix matrix = {};
 
-    template <class T> Coupled(Items &x, const Plan<T> &p)
+    template <class T> Coupled(const Kept<CoupledMatrix> &x, const Plan<T> &p)
     {
+        auto &[order, scale, places, band, function] = x->of;
         StageMatrix *m = &matrix;
         Size n = STAGES * (p.n_q + p.n_lam), width = 0;
         Size n_B = STAGES * p.constraints->n_values, size_K = STAGES * STAGES * p.nnz;
-        x(m->order, {n})(m->scale, {n})(m->places, {size_K});
-        auto band = x.take<std::optional<Kept<Band>>>();
-        Ref function = x.take<Ref>();
-        must(n <= INT_MAX && within(Span<int64_t>{m->order, n}, 0, n - 1) &&
-                 within(Span<int64_t>{m->places, size_K}, 0, size_K - 1) &&
-                 (band ? (*band)->n == n && (*band)->flat().size == size_K + 2 * n_B
-                       : function.get() != Py_None),
+        must(order.size == n && places.size == size_K &&
+                 (!band || (*band)->flat().size == size_K + 2 * n_B),
              "the matrix of stages is not that of the plan");
         if (band)
             m->half = (*band)->half, m->flat = (*band)->flat().data,
             m->factors = (*band)->factors(), width = (*band)->width;
         else
-            m->solver = &solver.emplace(std::move(function), n, size_K, n_B);
+            m->solver = &solver.emplace(Ref(Py_NewRef(function.get())), n, size_K, n_B);
         reals = room_for<double>(3 * n + n_B + size_K + n * width);
         pivots = room_for<int>(n);
+        m->scale = scale.data, m->order = order.data, m->places = places.data;
         m->gbtrf = gbtrf_of<double>(), m->gbtrs = gbtrs_of<double>(), m->size_K = size_K;
         m->work = reals.get(), m->B = m->work + 3 * n, m->K = m->B + n_B;
         m->band = m->K + size_K, m->pivots = pivots.get();
@@ -572,7 +586,7 @@ struct Coupled {
 /* From (q, v, a, lam) before a step: how it ends, size of the last correction, and counts. */
 template <class T, class M>
 std::tuple<int, double, Counts>
-py_solve_stages(Kept<M> model, Fields<5> coupled, Fields<4> state, InPlace<T> x, InPlace<T> lam,
+py_solve_stages(Kept<M> model, Kept<CoupledMatrix> coupled, Fields<4> state, InPlace<T> x, InPlace<T> lam,
                 Array<T> of_joints, Array<T> of_loads, Fields<2> settings)
 {
     const Plan<T> *p = &model->plan;
@@ -628,7 +642,7 @@ struct PassOverStages {
     std::unique_ptr<double[]> room;
     StagePass pass = {};
 
-    PassOverStages(Model &model, Items &matrix, Items &x, Size n_b) : coupled(matrix, model.plan)
+    PassOverStages(Model &model, const Kept<CoupledMatrix> &matrix, Items &x, Size n_b) : coupled(matrix, model.plan)
     {
         const Plan<double> *p = &model.plan;
         ComputedStages *s = &stages;
@@ -651,7 +665,7 @@ struct PassOverStages {
 };
 
 /* How many steps are differentiated, with those before `first`, and why it ends. */
-std::tuple<Size, int> py_differentiate_stages(Kept<Model> model, Fields<5> coupled,
+std::tuple<Size, int> py_differentiate_stages(Kept<Model> model, Kept<CoupledMatrix> coupled,
                                               Fields<10> steps, Fields<3> known,
                                               InPlace<double> states, InPlace<double> lam_b,
                                               InPlace<double> x_b, Size first)
@@ -676,7 +690,7 @@ std::tuple<Size, int> py_differentiate_stages(Kept<Model> model, Fields<5> coupl
 }
 
 /* How many of the first `count` steps are left, from the last one back, and why it ends. */
-std::tuple<Size, int> py_pull_back_stages(Kept<Model> model, Fields<5> coupled, Fields<10> steps,
+std::tuple<Size, int> py_pull_back_stages(Kept<Model> model, Kept<CoupledMatrix> coupled, Fields<10> steps,
                                           Fields<3> seeds, InPlace<double> on, Fields<3> covectors,
                                           Size count)
 {

@@ -4,18 +4,12 @@
 (n x n), [ K_s1 .. K_ss           B_s^T ]      B_i on that of B (m x n). [ B_1 .. B_s           0 ]
 """
 
-from typing import TypeAlias
-
 import numpy as np
 
-from ancfdae.kernels import Band
+from ancfdae.kernels import CoupledMatrix
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.linear_solvers import Factorise, SaddlePoint
+from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.numerics.patterns import SparsityPattern
-
-#: Storage of the module's matrix: order and scale of the unknowns, positions of the blocks (i, j)
-#: in its K, and a band or a function that factorises.
-CoupledArrays: TypeAlias = tuple[Array, Array, Array, Band | None, Factorise | None]
 
 
 def coupled_arrays(
@@ -25,7 +19,7 @@ def coupled_arrays(
     weights: Array,
     constraint_values: Array,
     order: Array | None = None,
-) -> CoupledArrays:
+) -> CoupledMatrix:
     """Return the storage of the module's matrix for kernels; weights and values of B scale it.
 
     If the unknowns of the system have an `order` in a band, all copies of an unknown are adjacent.
@@ -46,4 +40,4 @@ def coupled_arrays(
     matrices = SaddlePoint(pattern, constraints, *scales, order=order)
     layout = matrices.layout(band=True) or matrices.layout_out_of_band()
     factorise = matrices.exchanging(layout)
-    return layout.order, layout.scale, places.ravel(), layout.band, factorise
+    return CoupledMatrix(layout.order, layout.scale, places.ravel(), layout.band, factorise)

@@ -146,6 +146,7 @@ def test_spoiled_parts_of_a_plan_are_refused_or_used(kind):
     layout = matrices.layout(band=True) or matrices.layout_out_of_band()
     values = (((1.0, np.ones(system.pattern.size)),), np.ones(system.constraint_pattern.size))
     objects = [plan.block, plan.constraints, *(x for x in layout[2:] if x is not None)]
+    objects.append(coupled_matrix(system))
     refused = 0
     for _ in range(CALLS):
         kind, good = rng.choice(objects).__reduce__()

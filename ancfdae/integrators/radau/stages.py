@@ -28,9 +28,15 @@ from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control.contracts import Failure
-from ancfdae.kernels import RULES, STAGES_NOT_FINITE, STAGES_SINGULAR, STAGES_SOLVED
+from ancfdae.kernels import (
+    RULES,
+    STAGES_NOT_FINITE,
+    STAGES_SINGULAR,
+    STAGES_SOLVED,
+    CoupledMatrix,
+)
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.coupled import CoupledArrays, coupled_arrays
+from ancfdae.numerics.coupled import coupled_arrays
 
 _ROOT = np.sqrt(6.0)
 
@@ -117,7 +123,7 @@ def linearised(system: MechanicalSystem, t: Array, *states: Array) -> Linearisat
     return Linearisation(local.M.real, local.f_q.real, f_v, local.Phi_q.real)
 
 
-def stage_matrices(problem: InitialValueProblem) -> CoupledArrays:
+def stage_matrices(problem: InitialValueProblem) -> CoupledMatrix:
     """Return the coupled matrix of the stages for kernels.
 
     Constraints are scaled by their rows at the start.
