@@ -304,7 +304,7 @@ def _of_large(small: Linearised, count: int, highest: bool, rigid: Array) -> Eig
         try:
             s, X = sparse.damped(small, times * (count + _MORE), size, highest, rigid)
         except scipy.sparse.linalg.ArpackError:
-            # More vectors tell apart exponents that coincide.
+            # With more vectors exponents that coincide are found apart.
             continue
         pairs = _lowest(small, count, rigid, s, X)
         if pairs is not None and _has_all_that_vibrate(small, count, rigid, s, pairs):

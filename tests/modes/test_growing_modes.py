@@ -155,7 +155,7 @@ def blades(number, elements):
 def test_the_lowest_mode_of_more_blades_than_arnoldi_looks_for_is_that_of_one():
     """Forty blades have 40 exponents that coincide, more than 1,500 motions, and one is asked for.
 
-    One, two, four and eight times as many vectors as for one mode do not hold all of them.
+    One, two, four and eight times as many vectors as for one mode do not hold all forty.
     """
     one, many = (
         modes(turning, 1, at=equilibrium(turning)) for turning in (blades(1, 3), blades(40, 3))

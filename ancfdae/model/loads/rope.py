@@ -517,7 +517,7 @@ def _turned(u: Any, axis: Any) -> Any:
 
 
 def _in_plane(D: Any, axis: Any) -> Any:
-    """Return the part of a vector across an axis, all of it in the plane."""
+    """Return the part of a vector across an axis; in the plane, without an axis, the vector."""
     return D if axis is None else D - dot(D, axis) * axis
 
 
