@@ -174,7 +174,7 @@ def passed_over(problem: InitialValueProblem, run: Solution, share: float) -> Tr
     reach = [float(np.ptp(x * root, axis=0).max()) for x in (run.q, run.v)]
 
     def of(states: Array, t: float) -> Array:
-        """Return accelerations of `states` at time t, (len(states), n_q): laws make no jump."""
+        """Return the weighted accelerations of `states` at one time t, shape (len(states), n_q)."""
         rows = solver.rows_of(np.full(len(states), t), states[:, :, None])
         return np.asarray(rows[:, 0, : system.n_q] * root)
 
