@@ -223,15 +223,15 @@ def unbalanced(scene: Scene, found: Equilibrium) -> str:
 
 def exact_forces(system: object, q: Array) -> Array:
     """Return Q with the forces of elements in long doubles: -dU/dY with U a form in Delta g."""
-    elastic, block = system._elastic, system._elastic._elements  # type: ignore[attr-defined]
+    elastic = system._elastic  # type: ignore[attr-defined]
+    block, vectors, d = elastic._block, elastic._places.vectors, elastic._places.d
     others = system.force(0.0, q, 0 * q) + elastic.internal(q, 0 * q)  # type: ignore[attr-defined]
     total = np.asarray(others, dtype=np.longdouble)
-    d, n = block.d, len(block.vectors)
-    X = np.asarray(q, dtype=np.longdouble).reshape(-1, d)[block.vectors]
+    X = np.asarray(q, dtype=np.longdouble).reshape(-1, d)[vectors]
     n_s = X.shape[1] // 2
     Y = np.concatenate([X[:, n_s : n_s + 1] - X[:, :1], X[:, 1:n_s], X[:, n_s + 1 :]], axis=1)
     rows, columns = np.triu_indices(Y.shape[1])
-    for e in range(n):
+    for e in range(len(vectors)):
         k = 0 if len(block.A) == 1 else e
         g = np.sum(Y[e][rows] * Y[e][columns], axis=1)
         p = block.A[k].astype(np.longdouble) @ (g - block.g_o[0 if len(block.g_o) == 1 else e])
@@ -243,7 +243,7 @@ def exact_forces(system: object, q: Array) -> Array:
             stiffness, length = block.bending[0 if len(block.bending) == 1 else e]
             on_Y += _bending_force(stiffness, length, Y[e])
         on_X = np.concatenate([-on_Y[:1], on_Y[1:n_s], on_Y[:1], on_Y[n_s:]])
-        for vector, force in zip(block.vectors[e], on_X, strict=True):
+        for vector, force in zip(vectors[e], on_X, strict=True):
             total[d * vector : d * vector + d] -= force
     return np.asarray(total)
 

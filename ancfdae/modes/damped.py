@@ -301,8 +301,11 @@ def _of_large(small: Linearised, count: int, highest: bool, rigid: Array) -> Eig
         return _highest(small, count, *sparse.damped(small, count, size, highest, rigid))
     # Dense matrices are faster than the largest numbers of vectors.
     for times in _TIMES if small.n_free > _DENSE_CROWDED else _TIMES[:3]:
+        wanted = times * (count + _MORE)
+        if wanted >= small.n_free:
+            break
         try:
-            s, X = sparse.damped(small, times * (count + _MORE), size, highest, rigid)
+            s, X = sparse.damped(small, wanted, size, highest, rigid)
         except scipy.sparse.linalg.ArpackError:
             # More vectors separate exponents that coincide.
             continue
