@@ -140,7 +140,7 @@ class _Scene:
             return PID(
                 point, self._law(), gain, 10 * gain, float(rng.choice([0, 1, 1e6])), name="c"
             )
-        return _Odd(point, gain, int(rng.integers(0, 6)), name="c")
+        return _Odd(point, gain, int(rng.integers(0, 6)), name="servo")
 
     def _bodies(self) -> tuple[Scene, list[str]]:
         rng = self.rng
