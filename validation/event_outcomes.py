@@ -7,9 +7,10 @@ draw 1,000 scenes from seeds 0, 1, ..., or 200 from seed 4000 on, and print thos
 they must. Events happen at once or never, touch zero, have poles, are NaN, steep, or closed at the
 start. Restitutions are 0, 1, tiny, or above one. A part of the impacts has friction or Poisson's
 law. Modes lead to each other, or hold joints that are open. Every scene must end within a time
-limit as a run, an outcome in words or an error of the package. A run that reaches its end must have
-finite states and gaps that are not negative beyond round-off. Where no impact adds energy it must
-not gain any. Its gradient, if it has one, must be finite and equal by two methods.
+limit as a run, an outcome in words or an error of the package, or warn of very many events. A run
+that reaches its end must have finite states and gaps that are not negative beyond round-off. Where
+no impact adds energy it must not gain any. Its gradient, if it has one, must be finite and equal by
+two methods.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import signal
 import sys
 import warnings
 from collections import Counter
+from collections.abc import Callable
 from itertools import pairwise
 from types import FrameType
 from typing import Any
@@ -48,7 +50,7 @@ from ancfdae import (
     gradient,
     simulate,
 )
-from ancfdae.errors import AncfdaeError
+from ancfdae.errors import AncfdaeError, ManyStepsWarning
 from ancfdae.extend import Observable
 from ancfdae.observables import (
     custom,
@@ -252,23 +254,29 @@ def _give_up(signum: int, frame: FrameType | None) -> None:
     raise _TooLong
 
 
-def main(count: int, first: int = 0) -> int:
+def tally(
+    outcome: Callable[[int], tuple[str, str]], patience: float, count: int, first: int = 0
+) -> int:
     """Run scenes, print what is wrong and how many ended how; return the number of wrong ones.
 
-    Ctrl-C ends early, with the numbers up to there.
+    `outcome` takes a seed, and returns how the scene ended and what is wrong with that. A scene
+    that takes more than `patience`, s of the processor, counts as one that hangs. Ctrl-C ends
+    early, with the numbers up to there.
     """
     signal.signal(signal.SIGPROF, _give_up)
     ends, wrong = Counter[str](), 0
     for seed in range(first, first + count):
-        signal.setitimer(signal.ITIMER_PROF, _PATIENCE)
+        signal.setitimer(signal.ITIMER_PROF, patience)
         try:
-            with warnings.catch_warnings(), np.errstate(all="ignore"):
-                warnings.simplefilter("ignore")
+            with warnings.catch_warnings(record=True) as told, np.errstate(all="ignore"):
+                warnings.simplefilter("always")
                 end, bad = outcome(seed)
         except KeyboardInterrupt:
             break
         except _TooLong:
-            end, bad = "too long", f"no end after {_PATIENCE} s"
+            end, bad = "too long", f"no end after {patience} s"
+            if any(issubclass(x.category, ManyStepsWarning) for x in told):
+                end, bad = "long, with a warning", ""
         except Exception as error:  # noqa: BLE001  # whatever is no error of the package is wrong
             end, bad = "other error", f"{type(error).__name__}: {error}"
         finally:
@@ -285,4 +293,4 @@ def main(count: int, first: int = 0) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(*map(int, sys.argv[1:])) > 0)
+    sys.exit(tally(outcome, _PATIENCE, *map(int, sys.argv[1:])) > 0)

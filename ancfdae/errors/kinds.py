@@ -92,7 +92,7 @@ class StabilityWarning(UserWarning):
 
 @final
 class ManyStepsWarning(UserWarning):
-    """A run will take many more steps than a suitable method would; the run continues."""
+    """A run will take many more steps than suitable methods, or thousands of events; it goes on."""
 
 
 @final

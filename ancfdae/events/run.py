@@ -7,6 +7,7 @@ its duration is found to round-off (`locating`), and the jump at its end is comp
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, final
@@ -15,7 +16,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.contact_record import ContactRecord, MissedContact
-from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.errors.kinds import InvalidInputError, ManyStepsWarning
 from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.events.jumps import Jumps
 from ancfdae.events.kinds import Event, Impact, ModeSystem
@@ -56,6 +57,8 @@ _SHORT = 200
 # Phases, in two halves, after which the number of all events is foreseen, if durations of
 # the second half are not shorter by this factor than in the first half.
 _FORESEEN, _STEADY = 400, 0.9
+# Number of foreseen events from which on a run warns. An event takes some ten milliseconds.
+_SLOW = 5_000
 _MANY = (
     f"At the rate of the last {_FORESEEN} events there would be more than {_MOST} until the end. "
     "Give impacts a lower restitution, and rest=..., the name of a mode with a joint that keeps "
@@ -80,6 +83,7 @@ class PhaseMarch:
     ) -> None:
         self._modes, self._t_end, self._integrator = modes, t_end, integrator
         self._jumps, self._thin, self._left = Jumps(modes, t_end), thin, 0
+        self._told = False
         self._window, self._size = t_end * _FIRST, 0.0
         self._contacts = _Contacts()
 
@@ -154,14 +158,27 @@ class PhaseMarch:
         return self._ended(before, phases, self._outcome(Verdict.EVENT_LIMIT, phases, ""))
 
     def _too_many(self, phases: Sequence[Phase]) -> bool:
-        """Return whether events follow steadily, too fast to reach the end of the run."""
+        """Return whether events follow steadily, too fast to reach the end of the run.
+
+        Warn once if the run may reach its end, but only after very many events.
+        """
         if len(phases) < _FORESEEN:
             return False
         durations = np.array([phase.duration for phase in phases[-_FORESEEN:]])
         before, after = np.split(durations, 2)
-        steady = np.sum(after) > _STEADY * np.sum(before)
-        left = (self._t_end - phases[-1].t_end) / np.mean(after)
-        return bool(steady and len(phases) + left > _MOST)
+        t, mean = phases[-1].t_end, np.mean(after)
+        left = (self._t_end - t) / mean if np.sum(after) > _STEADY * np.sum(before) else 0.0
+        if len(phases) + left > _MOST:
+            return True
+        if left > _SLOW and not self._told:
+            self._told = True
+            message = (
+                f"about {left:.2g} events are to come: the last ones, before t = {t:.6g}, are "
+                f"{mean:.2g} s apart. Take a shorter t_end, or joints in place of gaps that stay "
+                "closed. Ctrl-C ends the run and keeps what is done."
+            )
+            warnings.warn(message, ManyStepsWarning, stacklevel=2)
+        return False
 
     # -- one phase -----------------------------------------------------------------------------
 

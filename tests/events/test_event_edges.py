@@ -20,7 +20,7 @@ from ancfdae import (
     gradient,
     simulate,
 )
-from ancfdae.errors import InvalidInputError
+from ancfdae.errors import InvalidInputError, ManyStepsWarning
 from ancfdae.observables import elapsed_time, position
 from tests.support.balls import HEIGHT, Ball
 
@@ -102,6 +102,19 @@ def test_more_events_than_the_limit_are_foreseen():
     assert "limit of events" in str(solution.outcome)
     assert "At the rate" in str(solution.outcome)
     assert len(solution.events) < 1000
+
+
+def test_a_run_with_very_many_events_warns_once_how_many_are_to_come():
+    # A ball of e = 1 starts upwards at 1 m/s, under 1000 m/s^2: a bounce takes 2 ms.
+    ball, floor = Ball((1.0, 1.0, 1000.0, 1.0)), Impact(HEIGHT - 1.0 + 1e-9, 1.0, "floor")
+    events = [floor, EndEvent(elapsed_time() - 0.8205, 1)]
+    # 400 bounces are over at 0.8 s.
+    with pytest.warns(ManyStepsWarning, match=r"about 6.1e\+03 events .* 0.002 s apart") as told:
+        solution = simulate(ball, 13.0, HHT(0.1), events=events)
+    assert len(told) == 1
+    assert len(solution.events) == 411
+    # Without a warning, which would be an error of this test:
+    assert len(simulate(ball, 9.0, HHT(0.1), events=events).events) == 411
 
 
 def test_bounces_below_the_round_off_of_coordinates_are_rest():
