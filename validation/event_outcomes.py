@@ -269,7 +269,7 @@ def tally(
         signal.setitimer(signal.ITIMER_PROF, patience)
         try:
             with warnings.catch_warnings(record=True) as told, np.errstate(all="ignore"):
-                warnings.simplefilter("always")
+                warnings.simplefilter("default")
                 end, bad = outcome(seed)
         except KeyboardInterrupt:
             break

@@ -138,7 +138,7 @@ class _Scene:
         gain = float(rng.choice([-1.0, 1.0])) * float(10.0 ** rng.uniform(-3, 12))
         if rng.random() < 0.5:
             return PID(
-                point, self._law(), gain, 10 * gain, float(rng.choice([0, 1, 1e6])), name="c"
+                point, self._law(), gain, 10 * gain, float(rng.choice([0, 1, 1e6])), name="servo"
             )
         return _Odd(point, gain, int(rng.integers(0, 6)), name="servo")
 
