@@ -19,6 +19,8 @@ from ancfdae.numerics.arrays import Array
 
 # Largest norm of the map at a solution, relative to the rates; most corrections, and most halvings.
 _SOLVED, _CORRECTIONS, _HALVED = 1e-12, 60, 12
+# Largest norm of the map, relative to the rates, at impulses that keep the law to round-off.
+_KEPT = 1e-10
 
 
 class Cones(NamedTuple):
@@ -46,10 +48,7 @@ def on_cones(problem: Cones, P: Array) -> tuple[Array, Array, Array, Array] | No
 
     None if Newton's method does not converge from there.
     """
-    # Rates before the impact, and rates by the impulses N_0; either may be zero.
-    rates = np.abs(problem.r) + np.abs(problem.A[:, : len(problem.low)]) @ np.abs(problem.low)
-    scale = float(np.max(rates, initial=0.0)) or 1.0
-    at = _natural_map(problem, P)
+    scale, at = _scale(problem), _natural_map(problem, P)
     for _ in range(_CORRECTIONS):
         size = float(np.linalg.norm(at.value))
         if size <= _SOLVED * scale:
@@ -65,6 +64,17 @@ def on_cones(problem: Cones, P: Array) -> tuple[Array, Array, Array, Array] | No
             return None
         P, at = P + share * step, moved
     return None
+
+
+def keep_law(problem: Cones, P: Array) -> bool:
+    """Return whether N and T, (m + k,), solve the contact problem up to round-off."""
+    return bool(np.linalg.norm(_natural_map(problem, P).value) <= _KEPT * _scale(problem))
+
+
+def _scale(problem: Cones) -> float:
+    """Return the largest rate before the impact and by the impulses N_0; 1 where all are zero."""
+    rates = np.abs(problem.r) + np.abs(problem.A[:, : len(problem.low)]) @ np.abs(problem.low)
+    return float(np.max(rates, initial=0.0)) or 1.0
 
 
 def _natural_map(problem: Cones, P: Array) -> _Map:

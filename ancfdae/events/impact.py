@@ -180,7 +180,7 @@ class Struck:
                 least_b = e_b * first + e * stage_b[:m]
             elif not self._in_two_stages:
                 change[:m] += e * u_b[:m] + e_b * u
-            state = stage.impulses[:m], (W @ stage.after.value + w_t)[m:]
+            state = stage.impulses, (W @ stage.after.value + w_t)[m:]
             stage_b = self._branch_along(stage.branch, state, (change, least_b, mu_b))
             total_b = total_b + stage_b
         return held_b + self.X @ total_b, total_b
@@ -322,6 +322,8 @@ class _Impulses:
                 # A gap that closes with a rate of round-off gets the rate of the law.
                 branch = replace(branch, pushes=np.array([True]))
             impulses = branch.impulses(self._contacts, rates, least)
+            if self._contacts.has_planes and not self._contacts.keep_law(impulses, rates, least):
+                raise ArithmeticError
         except ArithmeticError as error:
             names = ", ".join(repr(x.name) for x in self._impacts)
             where = f"impacts {names} at t = {np.real(self._state[0]):.6g}"

@@ -149,6 +149,46 @@ def test_sphere_between_sticking_and_sliding_has_no_derivative():
             )  # fmt: skip
 
 
+def sphere_near_sliding(d):
+    """A sphere whose friction is 1 + d times the one from which on it sticks, and that impulse."""
+    b, s = STICKS.copy(), np.array([0.5 - R * 0.5, -0.3 + R * 1.0])
+    T = -s / (1 / 2.0 + R**2 / 0.03)
+    b[2] = np.hypot(*T) / (2 * (1 + E) * 4.0) * (1 + d)
+    return b, T
+
+
+@pytest.mark.parametrize("law", ImpactLaw)
+@pytest.mark.parametrize("turned", [0.0, 1.0, 2.5])
+def test_impulse_is_continuous_between_sticking_and_sliding(turned, law):
+    c, s = np.cos(turned), np.sin(turned)
+    back = np.array([[c, -s], [s, c]])
+    near = [1e-4, 1e-6, 1e-8, 3e-9, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13]
+    for d in (*near, *(-x for x in near), 0.0):
+        b, T = sphere_near_sliding(d)
+        run = simulate(Sphere(b), 0.3, Radau(0.1), events=[Sphere.floor(law, turned)])
+        found = back @ run.events[0].sliding_impulse
+        np.testing.assert_allclose(found, T * min(1.0, 1 + d), atol=1e-13 * np.hypot(*T))
+
+
+@pytest.mark.parametrize("turned", [0.0, 1.0])
+def test_derivatives_are_right_or_refused_between_sticking_and_sliding(turned):
+    c, s = np.cos(turned), np.sin(turned)
+    back = np.array([[c, -s], [s, c]])
+    for d in (-1e-4, -1e-5, -1e-6, -1e-7, -3e-8, -3e-9, -1e-9, -1e-10, -1e-11, -1e-12):
+        b, T = sphere_near_sliding(d)
+        n, flexible = T / np.hypot(*T), 1 / 2.0 + R**2 / 0.03
+        # T = -mu P s/|s|, with the sliding velocity s before the impact, and ds/dv = I.
+        exact = -(1 + d) / flexible * (np.eye(2) - np.outer(n, n))
+        events = [Sphere.floor(turned=turned)]
+        if d > -2e-8:
+            with pytest.raises(InvalidInputError, match="must stick, slide or open clearly"):
+                differentiate(Sphere(b), 0.3, Radau(0.1), events=events)
+            continue
+        run = differentiate(Sphere(b), 0.3, Radau(0.1), events=events)
+        slope = back @ run.events[0].sliding_impulse_b[:, 3:5]
+        np.testing.assert_allclose(slope, exact, atol=1e-11)
+
+
 @pytest.mark.parametrize(("b", "name"), [(STICKS, "stays"), (SLIDES, "slides")])
 def test_cone_that_stays_closed_names_a_mode_for_all_directions_of_sliding(b, name):
     floor = replace(Sphere.floor(), restitution=0.0, rest=RestModes("stays", "slides"))
