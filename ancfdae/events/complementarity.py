@@ -45,12 +45,13 @@ class Contacts:
     """Contacts of an impact: inverse mass A, (m + k, m + k), and contact and mu of k friction rows.
 
     A contact that slides along a line has one row in `rough` and `friction`, (k,) each; a contact
-    that slides in a plane has two.
+    that slides in a plane has two. `noise` is the round-off of rates, (m + k,).
     """
 
     inverse_mass: Array
     rough: Array
     friction: Array
+    noise: Array | float = 0.0
 
     @property
     def count(self) -> int:
@@ -87,7 +88,7 @@ class Contacts:
 
         ArithmeticError if there is no solution.
         """
-        m, size, problem = self.count, self.sizes(), self._scaled(rates, least)
+        m, size, problem = self.count, self.sizes(), self.problem(rates, least)
         pushes, P, slack = self._on_pyramids(problem, _SIDES[0])
         scale = (
             float(np.max(np.abs(problem.r + problem.A[:, :m] @ problem.low), initial=0.0)) or 1.0
@@ -105,14 +106,15 @@ class Contacts:
 
     def keep_law(self, impulses: Array, rates: Array, least: Array) -> bool:
         """Return whether N and T, (m + k,), solve the problem for r, (m + k,), and N_0, (m,)."""
-        return keep_law(self._scaled(rates, least), impulses.real * self.sizes())
+        return keep_law(self.problem(rates, least), impulses.real * self.sizes())
 
-    def _scaled(self, rates: Array, least: Array) -> Cones:
+    def problem(self, rates: Array, least: Array) -> Cones:
         """Return the real problem in units in which A has a unit diagonal."""
         size, m = self.sizes(), self.count
         A, ratio = self.inverse_mass.real / np.outer(size, size), size[m:] / size[self.rough]
         r, low = rates.real / size, least.real * size[:m]
-        return Cones(A, self.rough, self.friction.real * ratio, r, low)
+        noise = float(np.max(self.noise / size, initial=0.0))
+        return Cones(A, self.rough, self.friction.real * ratio, r, low, noise)
 
     def _on_pyramids(self, problem: Cones, sides: int) -> tuple[Array, Array, Array]:
         """Solve the complementarity problem with pyramids in place of the cones, in scaled units.
@@ -120,7 +122,7 @@ class Contacts:
         Return which contacts push beyond N_0, (m,), impulses N and T, (m + k,), and the sliding
         speed of each friction row, (k,).
         """
-        m, (A, _, mu, r, low) = self.count, problem
+        m, (A, _, mu, r, low, _) = self.count, problem
         shifted = r + A[:, :m] @ low
         scale = float(np.max(np.abs(shifted), initial=0.0)) or 1.0
         D, of = self._directions(sides)
@@ -155,14 +157,15 @@ class Contacts:
                     of.append(contact)
         return np.reshape(found, (len(of), len(self.rough))).T, np.array(of, dtype=int)
 
-    def tie(self, branch: Branch, impulses: Array, rates: Array, least: Array) -> int | None:
-        """Return the index of a contact on two branches, from rates g', s and impulses; or None."""
-        size, m = self.sizes(), self.count
-        P, y, mu = impulses.real * size, rates.real / size, self._scaled(rates, least).mu
+    def tie(self, branch: Branch, rates: Array, least: Array) -> int | None:
+        """Return the index of a contact on two branches for r, (m + k,), and N_0, (m,); or None."""
+        size, m, problem = self.sizes(), self.count, self.problem(rates, least)
+        P, mu = branch.impulses(self, rates.real, least.real).real * size, problem.mu
+        y = problem.A @ P + problem.r
         # In these units an impulse is the change of a rate.
         small = _TIE * np.max(np.abs(P), initial=0.0)
         slow = max(small, _TIE * np.max(np.abs(y), initial=0.0))
-        more = P[:m] - least.real * size[:m]
+        more = P[:m] - problem.low
         # An impact of one gap always pushes, however slowly the gap closes.
         tied = np.where(branch.pushes, more <= small, y[:m] <= slow) & (m > 1)
         sliding, friction = self.length(y[m:]), self.length(P[m:])
@@ -217,7 +220,8 @@ class Branch:
                 np.where(self.pushes, -rates[:m], least),
                 np.where(self.sticks, -rates[m:], slid),
             ])  # fmt: skip
-            P = self._solved(contacts, slip, side[:, None], P[:, None])[:, 0]
+            small = contacts.problem(rates, least).small(_TIE)
+            P = self._solved(contacts, slip, (side[:, None], P[:, None]), small)[:, 0]
         return P
 
     def along(
@@ -238,7 +242,7 @@ class Branch:
             np.where(self.pushes[:, None], -rates_b[:m], least_b),
             np.where(self.sticks[:, None], -rates_b[m:], slid),
         ])  # fmt: skip
-        return self._solved(contacts, slip, side, np.zeros_like(side))
+        return self._solved(contacts, slip, (side, np.zeros_like(side)), 0.0)
 
     def _slip(self, contacts: Contacts, P: Array, s: Array) -> _Slip:
         """Return how contacts slide with impulses N and T, (m + k,), and velocities s, (k,)."""
@@ -249,8 +253,15 @@ class Branch:
         share = contacts.friction * P[contacts.rough] / length
         return _Slip(np.where(in_plane, -z / length, self.slides), np.where(in_plane, share, 0.0))
 
-    def _solved(self, contacts: Contacts, slip: _Slip, side: Array, near: Array) -> Array:
-        """Return impulses nearest to `near` that solve the branch for `side`, (m + k, d) each."""
+    def _solved(
+        self, contacts: Contacts, slip: _Slip, given: tuple[Array, Array], small: float
+    ) -> Array:
+        """Return the impulses that solve the branch for a right side, nearest to a first guess.
+
+        `given` are the right side and the first guess, (m + k, d) each. ArithmeticError if the side
+        is missed by more than `small` and round-off.
+        """
+        side, near = given
         m, rough, size = contacts.count, contacts.rough, contacts.sizes()
         scaled = contacts.inverse_mass / np.outer(size, size)
         kind = np.result_type(scaled, contacts.friction, slip.direction, slip.share)
@@ -267,6 +278,6 @@ class Branch:
         miss = right - K @ begin
         found = begin + np.linalg.lstsq(K, miss, rcond=_MOVES_NOTHING)[0]
         off = np.abs(K @ found - right)
-        if np.any(off > _TIE * np.max(np.abs(right), axis=0, initial=0.0)):
+        if np.any(off > np.maximum(small, _TIE * np.max(np.abs(right), axis=0, initial=0.0))):
             raise ArithmeticError
         return found / size[:, None]

@@ -19,18 +19,34 @@ from ancfdae.numerics.arrays import Array
 
 # Largest norm of the map at a solution, relative to the rates; most corrections, and most halvings.
 _SOLVED, _CORRECTIONS, _HALVED = 1e-12, 60, 12
-# Largest norm of the map, relative to the rates, at impulses that keep the law to round-off.
+# Largest norm of the map at impulses that keep the law, relative to the rates.
 _KEPT = 1e-10
+# Rates of round-off may add up to this number of times the round-off of one.
+_NOISE = 200.0
 
 
 class Cones(NamedTuple):
-    """The contact problem in scaled units: A, contact and mu of each friction row, r, and N_0."""
+    """The contact problem in scaled units: A, contact and mu of each friction row, r, and N_0.
+
+    `noise` is the round-off of r.
+    """
 
     A: Array
     rough: Array
     mu: Array
     r: Array
     low: Array
+    noise: float
+
+    @property
+    def fast(self) -> float:
+        """Return the largest rate before the impact or by the impulses N_0; 1 if all are zero."""
+        rates = np.abs(self.r) + np.abs(self.A[:, : len(self.low)]) @ np.abs(self.low)
+        return float(np.max(rates, initial=0.0)) or 1.0
+
+    def small(self, part: float) -> float:
+        """Return `part` times the largest rate, or what round-off of rates adds up to."""
+        return max(part * self.fast, _NOISE * self.noise)
 
 
 class _Map(NamedTuple):
@@ -48,10 +64,11 @@ def on_cones(problem: Cones, P: Array) -> tuple[Array, Array, Array, Array] | No
 
     None if Newton's method does not converge from there.
     """
-    scale, at = _scale(problem), _natural_map(problem, P)
+    small = problem.small(_SOLVED)
+    at = _natural_map(problem, P)
     for _ in range(_CORRECTIONS):
         size = float(np.linalg.norm(at.value))
-        if size <= _SOLVED * scale:
+        if size <= small:
             return at.pushes, at.sticks, at.slides, P
         step = np.linalg.lstsq(at.jacobian, -at.value, rcond=None)[0]
         share = 1.0
@@ -68,18 +85,12 @@ def on_cones(problem: Cones, P: Array) -> tuple[Array, Array, Array, Array] | No
 
 def keep_law(problem: Cones, P: Array) -> bool:
     """Return whether N and T, (m + k,), solve the contact problem up to round-off."""
-    return bool(np.linalg.norm(_natural_map(problem, P).value) <= _KEPT * _scale(problem))
-
-
-def _scale(problem: Cones) -> float:
-    """Return the largest rate before the impact and by the impulses N_0; 1 where all are zero."""
-    rates = np.abs(problem.r) + np.abs(problem.A[:, : len(problem.low)]) @ np.abs(problem.low)
-    return float(np.max(rates, initial=0.0)) or 1.0
+    return bool(np.linalg.norm(_natural_map(problem, P).value) <= problem.small(_KEPT))
 
 
 def _natural_map(problem: Cones, P: Array) -> _Map:
     """Evaluate the natural map and its Jacobian at N and T, (m + k,)."""
-    A, rough, mu, r, low = problem
+    A, rough, mu, r, low, _ = problem
     m, y, unit = len(low), A @ P + r, np.eye(len(P))
     more, T, gap, s = P[:m] - low, P[m:], y[:m], y[m:]
     pushes = more > gap

@@ -127,6 +127,20 @@ def test_impulse_of_a_cone_is_recorded_in_both_directions(tmp_path):
     np.testing.assert_array_equal(read.sliding_impulse_b, event.sliding_impulse_b)
 
 
+@pytest.mark.parametrize("b", [np.array([2.0, 0.03, 0.3, 0.2, -0.1, -4.0, 1.0, 0.5, 2.0]), SLIDES])
+def test_cone_without_restitution_has_the_derivatives_of_a_small_one(b):
+    # The restitution is the spin about z, less 2. It is zero, and P is (1 + e) m |v_z|.
+    e = custom(lambda t, q, v, lam, b: b[8] - 2.0 + 0 * t, "e")
+    floor = replace(Sphere.floor(ImpactLaw.POISSON), restitution=e)
+    (event,) = differentiate(Sphere(b), 0.6, HHT(0.05), events=[floor]).events
+    s = np.array([b[3] - R * b[7], b[4] + R * b[6]])
+    sticks = np.hypot(*s) / (1 / 2.0 + R**2 / 0.03) < b[2] * 8.0
+    in_e = np.zeros(2) if sticks else -b[2] * 8.0 * s / np.hypot(*s)
+    assert event.impulse_b[8] == pytest.approx(8.0, rel=1e-12)
+    assert event.impulse_b[5] == pytest.approx(-2.0, rel=1e-12)
+    np.testing.assert_allclose(event.sliding_impulse_b[:, 8], in_e, atol=1e-10)
+
+
 @pytest.mark.parametrize("b", [STICKS, SLIDES])
 def test_motion_does_not_depend_on_the_directions_of_the_cone(b):
     ends = [
