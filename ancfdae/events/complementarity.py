@@ -20,7 +20,7 @@ too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, final
 
 import numpy as np
@@ -175,6 +175,16 @@ class Contacts:
         np.logical_or.at(tied, self.rough, on_edge)
         return int(np.argmax(tied)) if np.any(tied) else None
 
+    def stands(self, branch: Branch, rates: Array) -> int | None:
+        """Return the index of a contact that slides on a branch, with s of round-off; or None.
+
+        `rates` are g' and s after the impact, (m + k,).
+        """
+        small = self.problem(rates, np.zeros(self.count)).small(0.0)
+        speed = self.length(rates.real[self.count :] / self.sizes()[self.count :])
+        still = (self.length(branch.slides) > 0) & (speed <= small)
+        return int(self.rough[np.argmax(still)]) if np.any(still) else None
+
 
 class _Slip(NamedTuple):
     """Directions d of sliding and a = mu N/|z| of the k friction rows, zero in rows that stick.
@@ -207,6 +217,18 @@ class Branch:
     sticks: Array
     slides: Array
     near: Array
+
+    def with_least(self, contacts: Contacts, least: Array, sought: Array) -> Branch:
+        """Return the branch for the least impulses N_0, (m,), after a search with larger ones.
+
+        Impulses of friction between contacts that stick get smaller with the cones.
+        """
+        smaller = sought > 0
+        if not np.any(smaller):
+            return self
+        shrink = least.real / np.where(smaller, sought, 1.0)
+        shrink = np.where(smaller, shrink, np.max(shrink[smaller]))
+        return replace(self, near=self.near * np.append(shrink, shrink[contacts.rough]))
 
     def impulses(self, contacts: Contacts, rates: Array, least: Array) -> Array:
         """Return N and T, (m + k,), on the branch, for real or complex rates r and N_0."""
@@ -248,10 +270,12 @@ class Branch:
         """Return how contacts slide with impulses N and T, (m + k,), and velocities s, (k,)."""
         in_plane = (np.sum(contacts.same, axis=1) > 1) & (contacts.length(self.slides) > 0)
         m, own = contacts.count, contacts.sizes()[contacts.count :]
-        z = np.where(in_plane, P[m:] - s / own**2, self.slides)
+        z = P[m:] - s / own**2
+        # Without impulses and sliding the branch knows the direction.
+        z = np.where(in_plane & (contacts.length(z) != 0), z, -self.slides)
         length = np.where(in_plane, contacts.length(z), 1.0)
         share = contacts.friction * P[contacts.rough] / length
-        return _Slip(np.where(in_plane, -z / length, self.slides), np.where(in_plane, share, 0.0))
+        return _Slip(-z / length, np.where(in_plane, share, 0.0))
 
     def _solved(
         self, contacts: Contacts, slip: _Slip, given: tuple[Array, Array], small: float

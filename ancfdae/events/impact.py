@@ -333,7 +333,10 @@ class _Impulses:
                 # A gap that closes with a rate of round-off gets the rate of the law.
                 branch = replace(branch, pushes=np.array([True]))
             tie = contacts.tie(branch, rates, least[1])
+            branch = branch.with_least(contacts, *least)
             impulses = branch.impulses(contacts, rates, least[0])
+            if tie is None:
+                tie = contacts.stands(branch, contacts.inverse_mass @ impulses + rates)
             if not slow and not contacts.keep_law(impulses, rates, least[0]):
                 raise ArithmeticError
         except ArithmeticError as error:
