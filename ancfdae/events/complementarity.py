@@ -25,7 +25,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ancfdae.events.friction_cones import Cones, keep_law, on_cones
+from ancfdae.events.friction_cones import Cones, keep_law, on_cones, swept
 from ancfdae.events.lemke import ROUND_OFF, solution
 from ancfdae.numerics.arrays import Array
 
@@ -35,6 +35,8 @@ _TIE = 1e-9
 _MOVES_NOTHING = 1e-12
 # Numbers of sides of the pyramids, tried in turn until Newton's method converges on the cones.
 _SIDES = (8, 12, 24, 48, 96)
+# Attempts of Newton's method after sweeps of Gauss-Seidel's, from the solution for pyramids.
+_ATTEMPTS = 20
 # Newton iterations for the impulses on a branch, which bring a solution to about round-off.
 _CORRECTIONS = 3
 
@@ -102,6 +104,11 @@ class Contacts:
             if found is not None:
                 return Branch(*found[:3], found[3] / size)
             _, P, _ = self._on_pyramids(problem, sides)
+        for _ in range(_ATTEMPTS):
+            P = swept(problem, P)
+            found = on_cones(problem, P)
+            if found is not None:
+                return Branch(*found[:3], found[3] / size)
         raise ArithmeticError
 
     def keep_law(self, impulses: Array, rates: Array, least: Array) -> bool:

@@ -21,6 +21,8 @@ from ancfdae.numerics.arrays import Array
 _SOLVED, _CORRECTIONS, _HALVED = 1e-12, 60, 12
 # Largest norm of the map at impulses that keep the law, relative to the rates.
 _KEPT = 1e-10
+# Sweeps of Gauss-Seidel's method, and a length below any.
+_SWEEPS, _TINY = 100, float(np.finfo(float).tiny)
 # Rates of round-off may add up to this number of times the round-off of one.
 _NOISE = 200.0
 
@@ -81,6 +83,21 @@ def on_cones(problem: Cones, P: Array) -> tuple[Array, Array, Array, Array] | No
             return None
         P, at = P + share * step, moved
     return None
+
+
+def swept(problem: Cones, P: Array) -> Array:
+    """Return N and T, (m + k,), after sweeps of projected Gauss-Seidel: N, then T, by contact."""
+    A, rough, mu, r, low, _ = problem
+    m, P = len(low), P.copy()
+    rows = [m + np.flatnonzero(rough == i) for i in range(m)]
+    stiff = [float(np.trace(A[np.ix_(t, t)])) for t in rows]
+    for _ in range(_SWEEPS):
+        for i, t in enumerate(rows):
+            P[i] = max(low[i], P[i] - (A[i] @ P + r[i]) / A[i, i])
+            if stiff[i] > 0:
+                z, radius = P[t] - (A[t] @ P + r[t]) / stiff[i], mu[t - m][0] * P[i]
+                P[t] = z * min(1.0, radius / max(float(np.linalg.norm(z)), _TINY))
+    return P
 
 
 def keep_law(problem: Cones, P: Array) -> bool:
