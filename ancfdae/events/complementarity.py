@@ -20,12 +20,12 @@ too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, final
 
 import numpy as np
 
-from ancfdae.events.friction_cones import Cones, on_cones
+from ancfdae.events.friction_cones import Cones, keep_law, on_cones, swept
 from ancfdae.events.lemke import ROUND_OFF, solution
 from ancfdae.numerics.arrays import Array
 
@@ -35,6 +35,8 @@ _TIE = 1e-9
 _MOVES_NOTHING = 1e-12
 # Numbers of sides of the pyramids, tried in turn until Newton's method converges on the cones.
 _SIDES = (8, 12, 24, 48, 96)
+# Attempts of Newton's method after sweeps of Gauss-Seidel's, from the solution for pyramids.
+_ATTEMPTS = 20
 # Newton iterations for the impulses on a branch, which bring a solution to about round-off.
 _CORRECTIONS = 3
 
@@ -45,12 +47,13 @@ class Contacts:
     """Contacts of an impact: inverse mass A, (m + k, m + k), and contact and mu of k friction rows.
 
     A contact that slides along a line has one row in `rough` and `friction`, (k,) each; a contact
-    that slides in a plane has two.
+    that slides in a plane has two. `noise` is the round-off of rates, (m + k,).
     """
 
     inverse_mass: Array
     rough: Array
     friction: Array
+    noise: Array | float = 0.0
 
     @property
     def count(self) -> int:
@@ -87,37 +90,46 @@ class Contacts:
 
         ArithmeticError if there is no solution.
         """
-        m, size = self.count, self.sizes()
-        A, mu = self._scaled()
-        r, low = rates.real / size, least.real * size[:m]
-        pushes, P, slack = self._on_pyramids(A, mu, (r, low), _SIDES[0])
-        scale = float(np.max(np.abs(r + A[:, :m] @ low), initial=0.0)) or 1.0
+        m, size, problem = self.count, self.sizes(), self.problem(rates, least)
+        pushes, P, slack = self._on_pyramids(problem, _SIDES[0])
+        scale = (
+            float(np.max(np.abs(problem.r + problem.A[:, :m] @ problem.low), initial=0.0)) or 1.0
+        )
         if not self.has_planes:
             loaded = P[self.rough] > ROUND_OFF * scale
             slides = np.where(loaded & (slack > ROUND_OFF * scale), np.sign(-P[m:]), 0.0)
             return Branch(pushes, loaded & (slides == 0), slides, P / size)
         for sides in _SIDES:
-            found = on_cones(Cones(A, self.rough, mu, r, low), P)
+            found = on_cones(problem, P)
             if found is not None:
                 return Branch(*found[:3], found[3] / size)
-            _, P, _ = self._on_pyramids(A, mu, (r, low), sides)
+            _, P, _ = self._on_pyramids(problem, sides)
+        for _ in range(_ATTEMPTS):
+            P = swept(problem, P)
+            found = on_cones(problem, P)
+            if found is not None:
+                return Branch(*found[:3], found[3] / size)
         raise ArithmeticError
 
-    def _scaled(self) -> tuple[Array, Array]:
-        """Return A scaled to a unit diagonal, and mu for impulses in these units, real."""
-        size = self.sizes()
-        ratio = size[self.count :] / size[self.rough]
-        return self.inverse_mass.real / np.outer(size, size), self.friction.real * ratio
+    def keep_law(self, impulses: Array, rates: Array, least: Array) -> bool:
+        """Return whether N and T, (m + k,), solve the problem for r, (m + k,), and N_0, (m,)."""
+        return keep_law(self.problem(rates, least), impulses.real * self.sizes())
 
-    def _on_pyramids(
-        self, A: Array, mu: Array, given: tuple[Array, Array], sides: int
-    ) -> tuple[Array, Array, Array]:
-        """Solve the complementarity problem with pyramids for scaled rates r and N_0, `given`.
+    def problem(self, rates: Array, least: Array) -> Cones:
+        """Return the real problem in units in which A has a unit diagonal."""
+        size, m = self.sizes(), self.count
+        A, ratio = self.inverse_mass.real / np.outer(size, size), size[m:] / size[self.rough]
+        r, low = rates.real / size, least.real * size[:m]
+        noise = float(np.max(self.noise / size, initial=0.0))
+        return Cones(A, self.rough, self.friction.real * ratio, r, low, noise)
+
+    def _on_pyramids(self, problem: Cones, sides: int) -> tuple[Array, Array, Array]:
+        """Solve the complementarity problem with pyramids in place of the cones, in scaled units.
 
         Return which contacts push beyond N_0, (m,), impulses N and T, (m + k,), and the sliding
         speed of each friction row, (k,).
         """
-        m, (r, low) = self.count, given
+        m, (A, _, mu, r, low, _) = self.count, problem
         shifted = r + A[:, :m] @ low
         scale = float(np.max(np.abs(shifted), initial=0.0)) or 1.0
         D, of = self._directions(sides)
@@ -152,15 +164,15 @@ class Contacts:
                     of.append(contact)
         return np.reshape(found, (len(of), len(self.rough))).T, np.array(of, dtype=int)
 
-    def tie(self, branch: Branch, impulses: Array, rates: Array, least: Array) -> int | None:
-        """Return the index of a contact on two branches, from rates g', s and impulses; or None."""
-        size, m = self.sizes(), self.count
-        P, y = impulses.real * size, rates.real / size
-        _, mu = self._scaled()
+    def tie(self, branch: Branch, rates: Array, least: Array) -> int | None:
+        """Return the index of a contact on two branches for r, (m + k,), and N_0, (m,); or None."""
+        size, m, problem = self.sizes(), self.count, self.problem(rates, least)
+        P, mu = branch.impulses(self, rates.real, least.real).real * size, problem.mu
+        y = problem.A @ P + problem.r
         # In these units an impulse is the change of a rate.
         small = _TIE * np.max(np.abs(P), initial=0.0)
         slow = max(small, _TIE * np.max(np.abs(y), initial=0.0))
-        more = P[:m] - least.real * size[:m]
+        more = P[:m] - problem.low
         # An impact of one gap always pushes, however slowly the gap closes.
         tied = np.where(branch.pushes, more <= small, y[:m] <= slow) & (m > 1)
         sliding, friction = self.length(y[m:]), self.length(P[m:])
@@ -170,12 +182,31 @@ class Contacts:
         np.logical_or.at(tied, self.rough, on_edge)
         return int(np.argmax(tied)) if np.any(tied) else None
 
+    def stands(self, branch: Branch, rates: Array) -> int | None:
+        """Return the index of a contact that slides on a branch, with s of round-off; or None.
+
+        `rates` are g' and s after the impact, (m + k,).
+        """
+        small = self.problem(rates, np.zeros(self.count)).small(0.0)
+        speed = self.length(rates.real[self.count :] / self.sizes()[self.count :])
+        still = (self.length(branch.slides) > 0) & (speed <= small)
+        return int(self.rough[np.argmax(still)]) if np.any(still) else None
+
 
 class _Slip(NamedTuple):
-    """Directions d of sliding and mu N/|s| of the k friction rows, zero in rows that stick."""
+    """Directions d of sliding and a = mu N/|z| of the k friction rows, zero in rows that stick.
+
+    In scaled units z = T - s = -|z| d, and a solution has T = a z. Other than s/|s|, d and a stay
+    determined where the sliding velocity goes to zero; a is zero on lines, where d is constant.
+    """
 
     direction: Array
-    turn: Array
+    share: Array
+
+    def across(self, contacts: Contacts) -> Array:
+        """Return a (I - d d^T), (k, k)."""
+        d = self.direction
+        return self.share[:, None] * (np.eye(len(d)) - np.outer(d, d) * contacts.same)
 
 
 @final
@@ -194,17 +225,32 @@ class Branch:
     slides: Array
     near: Array
 
+    def with_least(self, contacts: Contacts, least: Array, sought: Array) -> Branch:
+        """Return the branch for the least impulses N_0, (m,), after a search with larger ones.
+
+        Impulses of friction between contacts that stick get smaller with the cones.
+        """
+        smaller = sought > 0
+        if not np.any(smaller):
+            return self
+        shrink = least.real / np.where(smaller, sought, 1.0)
+        shrink = np.where(smaller, shrink, np.max(shrink[smaller]))
+        return replace(self, near=self.near * np.append(shrink, shrink[contacts.rough]))
+
     def impulses(self, contacts: Contacts, rates: Array, least: Array) -> Array:
         """Return N and T, (m + k,), on the branch, for real or complex rates r and N_0."""
         m, P = contacts.count, self.near
+        own = contacts.sizes()[m:]
         for _ in range(_CORRECTIONS if contacts.has_planes else 1):
             s = contacts.inverse_mass[m:] @ P + rates[m:]
-            slip = self._slip(contacts, P[:m], s)
+            slip = self._slip(contacts, P, s)
+            slid = -slip.across(contacts) @ (rates[m:] / own**2)
             side = np.concatenate([
                 np.where(self.pushes, -rates[:m], least),
-                np.where(self.sticks, -rates[m:], -_turned(contacts, slip, rates[m:])),
+                np.where(self.sticks, -rates[m:], slid),
             ])  # fmt: skip
-            P = self._solved(contacts, slip, side[:, None], P[:, None])[:, 0]
+            small = contacts.problem(rates, least).small(_TIE)
+            P = self._solved(contacts, slip, (side[:, None], P[:, None]), small)[:, 0]
         return P
 
     def along(
@@ -212,39 +258,47 @@ class Branch:
     ) -> Array:
         """Return derivatives of N and T, (m + k, d), along d directions.
 
-        `state` are N, (m,), and the sliding velocities s, (k,); `changes` are the derivatives of
-        rates with impulses held, of N_0, and of mu. ArithmeticError if no impulses on the branch
-        fit them.
+        `state` are N and T, (m + k,), and the sliding velocities s, (k,); `changes` are the
+        derivatives of rates with impulses held, of N_0, and of mu. ArithmeticError if no impulses
+        on the branch fit them.
         """
         rates_b, least_b, mu_b = changes
-        m, (normal, s) = contacts.count, state
-        slip = self._slip(contacts, normal, s)
-        slid = -(slip.direction * normal[contacts.rough])[:, None] * mu_b
-        slid = slid - _turned(contacts, slip, rates_b[m:])
+        m, (P, s) = contacts.count, state
+        own, slip = contacts.sizes()[m:, None], self._slip(contacts, P, s)
+        slid = -(slip.direction * P[contacts.rough])[:, None] * mu_b
+        slid = slid - slip.across(contacts) @ (rates_b[m:] / own**2)
         side = np.vstack([
             np.where(self.pushes[:, None], -rates_b[:m], least_b),
             np.where(self.sticks[:, None], -rates_b[m:], slid),
         ])  # fmt: skip
-        return self._solved(contacts, slip, side, np.zeros_like(side))
+        return self._solved(contacts, slip, (side, np.zeros_like(side)), 0.0)
 
-    def _slip(self, contacts: Contacts, normal: Array, s: Array) -> _Slip:
-        """Return how contacts slide with impulses N, (m,), and sliding velocities s, (k,)."""
-        if not contacts.has_planes:
-            return _Slip(self.slides, np.zeros(len(self.slides)))
+    def _slip(self, contacts: Contacts, P: Array, s: Array) -> _Slip:
+        """Return how contacts slide with impulses N and T, (m + k,), and velocities s, (k,)."""
         in_plane = (np.sum(contacts.same, axis=1) > 1) & (contacts.length(self.slides) > 0)
-        speed = np.where(in_plane, contacts.length(s), 1.0)
-        turn = contacts.friction * normal[contacts.rough] / speed
-        return _Slip(np.where(in_plane, s / speed, self.slides), np.where(in_plane, turn, 0.0))
+        m, own = contacts.count, contacts.sizes()[contacts.count :]
+        z = P[m:] - s / own**2
+        # Without impulses and sliding the branch knows the direction.
+        z = np.where(in_plane & (contacts.length(z) != 0), z, -self.slides)
+        length = np.where(in_plane, contacts.length(z), 1.0)
+        share = contacts.friction * P[contacts.rough] / length
+        return _Slip(-z / length, np.where(in_plane, share, 0.0))
 
-    def _solved(self, contacts: Contacts, slip: _Slip, side: Array, near: Array) -> Array:
-        """Return impulses nearest to `near` that solve the branch for `side`, (m + k, d) each."""
+    def _solved(
+        self, contacts: Contacts, slip: _Slip, given: tuple[Array, Array], small: float
+    ) -> Array:
+        """Return the impulses that solve the branch for a right side, nearest to a first guess.
+
+        `given` are the right side and the first guess, (m + k, d) each. ArithmeticError if the side
+        is missed by more than `small` and round-off.
+        """
+        side, near = given
         m, rough, size = contacts.count, contacts.rough, contacts.sizes()
         scaled = contacts.inverse_mass / np.outer(size, size)
-        kind = np.result_type(scaled, contacts.friction, slip.direction, slip.turn)
+        kind = np.result_type(scaled, contacts.friction, slip.direction, slip.share)
         K = np.eye(len(size), dtype=kind)
-        # T + mu N d + mu N/|s| (I - d d^T) s = 0 where a contact slides
-        own = size[m:]
-        K[m:] += own[:, None] ** 2 * _turned(contacts, slip, scaled[m:])
+        # T + mu N d - a (I - d d^T) (T - s) = 0 where a contact slides
+        K[m:] -= slip.across(contacts) @ (K[m:] - scaled[m:])
         held = np.concatenate([self.pushes, self.sticks])
         K[held] = scaled[held]
         for j in np.flatnonzero(contacts.length(self.slides)).tolist():
@@ -255,13 +309,6 @@ class Branch:
         miss = right - K @ begin
         found = begin + np.linalg.lstsq(K, miss, rcond=_MOVES_NOTHING)[0]
         off = np.abs(K @ found - right)
-        if np.any(off > _TIE * np.max(np.abs(right), axis=0, initial=0.0)):
+        if np.any(off > np.maximum(small, _TIE * np.max(np.abs(right), axis=0, initial=0.0))):
             raise ArithmeticError
         return found / size[:, None]
-
-
-def _turned(contacts: Contacts, slip: _Slip, x: Array) -> Array:
-    """Return mu N/|s| (I - d d^T) x for friction rows x, (k,) or (k, d)."""
-    d, turn = slip.direction, slip.turn
-    across = np.eye(len(d)) - np.outer(d, d) * contacts.same
-    return np.asarray((turn[:, None] * across) @ x)

@@ -19,16 +19,36 @@ from ancfdae.numerics.arrays import Array
 
 # Largest norm of the map at a solution, relative to the rates; most corrections, and most halvings.
 _SOLVED, _CORRECTIONS, _HALVED = 1e-12, 60, 12
+# Largest norm of the map at impulses that keep the law, relative to the rates.
+_KEPT = 1e-10
+# Sweeps of Gauss-Seidel's method, and a length below any.
+_SWEEPS, _TINY = 100, float(np.finfo(float).tiny)
+# Rates of round-off may add up to this number of times the round-off of one.
+_NOISE = 200.0
 
 
 class Cones(NamedTuple):
-    """The contact problem in scaled units: A, contact and mu of each friction row, r, and N_0."""
+    """The contact problem in scaled units: A, contact and mu of each friction row, r, and N_0.
+
+    `noise` is the round-off of r.
+    """
 
     A: Array
     rough: Array
     mu: Array
     r: Array
     low: Array
+    noise: float
+
+    @property
+    def fast(self) -> float:
+        """Return the largest rate before the impact or by the impulses N_0; 1 if all are zero."""
+        rates = np.abs(self.r) + np.abs(self.A[:, : len(self.low)]) @ np.abs(self.low)
+        return float(np.max(rates, initial=0.0)) or 1.0
+
+    def small(self, part: float) -> float:
+        """Return `part` times the largest rate, or what round-off of rates adds up to."""
+        return max(part * self.fast, _NOISE * self.noise)
 
 
 class _Map(NamedTuple):
@@ -46,13 +66,11 @@ def on_cones(problem: Cones, P: Array) -> tuple[Array, Array, Array, Array] | No
 
     None if Newton's method does not converge from there.
     """
-    # Rates before the impact, and rates by the impulses N_0; either may be zero.
-    rates = np.abs(problem.r) + np.abs(problem.A[:, : len(problem.low)]) @ np.abs(problem.low)
-    scale = float(np.max(rates, initial=0.0)) or 1.0
+    small = problem.small(_SOLVED)
     at = _natural_map(problem, P)
     for _ in range(_CORRECTIONS):
         size = float(np.linalg.norm(at.value))
-        if size <= _SOLVED * scale:
+        if size <= small:
             return at.pushes, at.sticks, at.slides, P
         step = np.linalg.lstsq(at.jacobian, -at.value, rcond=None)[0]
         share = 1.0
@@ -67,9 +85,29 @@ def on_cones(problem: Cones, P: Array) -> tuple[Array, Array, Array, Array] | No
     return None
 
 
+def swept(problem: Cones, P: Array) -> Array:
+    """Return N and T, (m + k,), after sweeps of projected Gauss-Seidel: N, then T, by contact."""
+    A, rough, mu, r, low, _ = problem
+    m, P = len(low), P.copy()
+    rows = [m + np.flatnonzero(rough == i) for i in range(m)]
+    stiff = [float(np.trace(A[np.ix_(t, t)])) for t in rows]
+    for _ in range(_SWEEPS):
+        for i, t in enumerate(rows):
+            P[i] = max(low[i], P[i] - (A[i] @ P + r[i]) / A[i, i])
+            if stiff[i] > 0:
+                z, radius = P[t] - (A[t] @ P + r[t]) / stiff[i], mu[t - m][0] * P[i]
+                P[t] = z * min(1.0, radius / max(float(np.linalg.norm(z)), _TINY))
+    return P
+
+
+def keep_law(problem: Cones, P: Array) -> bool:
+    """Return whether N and T, (m + k,), solve the contact problem up to round-off."""
+    return bool(np.linalg.norm(_natural_map(problem, P).value) <= problem.small(_KEPT))
+
+
 def _natural_map(problem: Cones, P: Array) -> _Map:
     """Evaluate the natural map and its Jacobian at N and T, (m + k,)."""
-    A, rough, mu, r, low = problem
+    A, rough, mu, r, low, _ = problem
     m, y, unit = len(low), A @ P + r, np.eye(len(P))
     more, T, gap, s = P[:m] - low, P[m:], y[:m], y[m:]
     pushes = more > gap

@@ -46,6 +46,8 @@ from ancfdae.sensitivity.observables.observable import Observable
 _FIXED, _DEPENDENT = 1e-12, 1e-10
 # A sliding velocity counts as zero below this fraction of its terms.
 _STANDS = 1e-12
+# The branch of an expansion with a smaller restitution, or none, is the one for this restitution.
+_LITTLE = 1e-8
 # Gaps are uncoupled if the impulse of one changes the rate of another by less than this, relative
 # to its own.
 _UNCOUPLED = 1e-12
@@ -79,12 +81,15 @@ class _Velocity(NamedTuple):
 
 
 class _Stage(NamedTuple):
-    """A stage of an impact: branch, least impulses N_0, its impulses, and velocity at its end."""
+    """A stage of an impact: its branch and impulses, and the velocity at its end.
+
+    `tie` is the index of an impact that lies between two branches, or None.
+    """
 
     branch: Branch
-    least: Array
     impulses: Array
     after: _Velocity
+    tie: int | None
 
 
 @final
@@ -180,7 +185,7 @@ class Struck:
                 least_b = e_b * first + e * stage_b[:m]
             elif not self._in_two_stages:
                 change[:m] += e * u_b[:m] + e_b * u
-            state = stage.impulses[:m], (W @ stage.after.value + w_t)[m:]
+            state = stage.impulses, (W @ stage.after.value + w_t)[m:]
             stage_b = self._branch_along(stage.branch, state, (change, least_b, mu_b))
             total_b = total_b + stage_b
         return held_b + self.X @ total_b, total_b
@@ -278,7 +283,8 @@ class _Impulses:
             for x in impacts
             for _ in x.lines
         ]
-        self._contacts = Contacts(W @ self._X, np.array(rough, dtype=int), np.array(mu))
+        noise = np.finfo(float).eps * (np.abs(W) @ np.abs(before.value) + np.abs(w_t))
+        self._contacts = Contacts(W @ self._X, np.array(rough, dtype=int), np.array(mu), noise)
         self._rates = W @ before.value + w_t
 
     def solved(self) -> Struck:
@@ -304,24 +310,35 @@ class _Impulses:
             names = ", ".join(repr(x.name) for x in self._impacts)
             repair = "Give all impacts that may happen together the same law."
             raise InvalidInputError(f"impacts {names}", "must follow one law", "two", repair)
-        zero = np.zeros(m)
-        shift = np.zeros_like(self._rates)
+        zero, shift = np.zeros(m), np.zeros_like(self._rates)
         if laws == {ImpactLaw.NEWTON} or self._plastic:
             shift[:m] = self._e * self._rates[:m]
-            return (self._stage(self._before, shift, zero),)
-        first = self._stage(self._before, shift, zero)
-        return first, self._stage(first.after, shift, self._e * first.impulses[:m])
+            return (self._stage(self._before, shift, (zero, zero)),)
+        first = self._stage(self._before, shift, (zero, zero))
+        e, P = np.maximum(self._e.real, _LITTLE), first.impulses[:m]
+        return first, self._stage(first.after, shift, (self._e * P, e * P.real))
 
-    def _stage(self, before: _Velocity, shift: Array, least: Array) -> _Stage:
-        """Return a stage from the velocity before it, a shift of the rates after it, and N_0."""
+    def _stage(self, before: _Velocity, shift: Array, least: tuple[Array, Array]) -> _Stage:
+        """Return a stage from the velocity before it and a shift of the rates after it.
+
+        `least` are N_0, and the N_0 that give the branch: without expansion a state is between two
+        branches, of which restitutions, which are not negative, have one.
+        """
         W, w_t = self._rows
-        rates = W @ before.value + w_t + shift
+        contacts, rates = self._contacts, W @ before.value + w_t + shift
         try:
-            branch = self._contacts.branch(rates, least)
-            if len(self._impacts) == 1 and not branch.pushes[0] and not np.any(least):
+            branch = contacts.branch(rates, least[1])
+            slow = len(self._impacts) == 1 and not branch.pushes[0] and not np.any(least[1])
+            if slow:
                 # A gap that closes with a rate of round-off gets the rate of the law.
                 branch = replace(branch, pushes=np.array([True]))
-            impulses = branch.impulses(self._contacts, rates, least)
+            tie = contacts.tie(branch, rates, least[1])
+            branch = branch.with_least(contacts, *least)
+            impulses = branch.impulses(contacts, rates, least[0])
+            if tie is None:
+                tie = contacts.stands(branch, contacts.inverse_mass @ impulses + rates)
+            if not slow and not contacts.keep_law(impulses, rates, least[0]):
+                raise ArithmeticError
         except ArithmeticError as error:
             names = ", ".join(repr(x.name) for x in self._impacts)
             where = f"impacts {names} at t = {np.real(self._state[0]):.6g}"
@@ -330,19 +347,11 @@ class _Impulses:
             raise InvalidInputError(where, rule, "none", repair) from error
         value = before.value + self._X @ impulses
         multiplier, total = before.multiplier + self._Y @ impulses, before.impulses + impulses
-        return _Stage(branch, least, impulses, _Velocity(value, multiplier, total))
+        return _Stage(branch, impulses, _Velocity(value, multiplier, total), tie)
 
     def _tie(self, stages: Sequence[_Stage]) -> str | None:
         """Return the name of an impact that lies between two branches of a stage, or None."""
-        W, w_t = self._rows
-        for number, stage in enumerate(stages):
-            rates = W @ stage.after.value + w_t
-            if number == 0 and len(stages) == 1:
-                rates[: len(self._e)] += self._e * self._rates[: len(self._e)]
-            tied = self._contacts.tie(stage.branch, stage.impulses, rates, stage.least)
-            if tied is not None:
-                return self._impacts[tied].name
-        return None
+        return next((self._impacts[x.tie].name for x in stages if x.tie is not None), None)
 
 
 def uncoupled(

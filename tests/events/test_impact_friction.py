@@ -96,6 +96,33 @@ def test_disc_sticks_or_slides_as_its_closed_form(b, law):
             np.testing.assert_allclose(each.gradient, slope, rtol=1e-10, atol=1e-11)
 
 
+class FloatingDisc(Disc):
+    """A disc without weight, which does not fall again after an impact without restitution."""
+
+    g = 0.0
+
+
+@pytest.mark.parametrize("law", ImpactLaw)
+@pytest.mark.parametrize("b", [(0.2, *STICKS[1:]), FORWARD, BACKWARD])
+@pytest.mark.parametrize("e", [0.0, 1e-12])
+def test_derivatives_without_restitution_are_those_of_a_small_one(b, law, e):
+    b = np.array(b)
+    b[3] = e
+    steps = np.array([impulses_of_floating_disc(b + 1e-30j * x) for x in np.eye(6)])
+    slopes = steps.imag.T / 1e-30
+    (event,) = differentiate(FloatingDisc(b), 2.5, Radau(0.5), events=[Disc.impact(law)]).events
+    np.testing.assert_allclose(event.impulse_b, slopes[0], atol=1e-10)
+    np.testing.assert_allclose(event.sliding_impulse_b, slopes[1], atol=1e-10)
+
+
+def impulses_of_floating_disc(b):
+    """P and T of the impact with 0.5 by hand."""
+    vx, spin, mu, e, R, J = b
+    P, sliding = (1 + e) * 2.0 * 0.5, vx + R * spin
+    T = -sliding / (1 / 2.0 + R * R / J)
+    return P, T if abs(T.real) <= (mu * P).real else -mu * P * np.sign(sliding.real)
+
+
 def test_impulses_of_friction_and_their_derivatives_are_recorded(tmp_path):
     for b, ratio in ((FORWARD, -0.1), (BACKWARD, 0.1)):
         run = differentiate(Disc(b), 0.6, HHT(0.05), events=[Disc.impact(ImpactLaw.NEWTON)])
