@@ -49,6 +49,7 @@ from ancfdae.sensitivity.objectives.reductions import OverTime, SmoothUpperBound
 from ancfdae.sensitivity.observables.expression import leaves
 from ancfdae.sensitivity.observables.observable import Observable, States, states_of
 from ancfdae.studies.accuracy.bars import Estimate
+from ancfdae.studies.accuracy.endings import Ending
 from ancfdae.studies.accuracy.features import features
 from ancfdae.studies.accuracy.hht_runs import HHTRuns
 from ancfdae.studies.accuracy.high_order_runs import DOP853Runs, RadauRuns
@@ -151,7 +152,7 @@ def search(
         # Coarse runs are made only to be compared, and short steps in sharp places are intended.
         for kind in (StabilityWarning, ManyStepsWarning):
             warnings.simplefilter("ignore", kind)
-        found = _search(seer, others, measure, wanted.tolerance, witness)
+        found = _search(seer, others, measure, wanted, witness)
     if not found.reached:
         text = f"tolerance {wanted.tolerance:g}: {found.why}"
         warnings.warn(text, ToleranceWarning, stacklevel=level + 1)
@@ -159,14 +160,16 @@ def search(
 
 
 def _search(
-    seer: HHTRuns, others: Sequence[Runs], measure: Measure, tolerance: float, witness: Witness
+    seer: HHTRuns, others: Sequence[Runs], measure: Measure, wanted: Wanted, witness: Witness
 ) -> Found:
     """Run integrators until one reaches the tolerance or the next run would exceed the cost limit.
 
     A run that passed over a sharp place does not count; all sequences then resolve the places of
-    its path. If no run gave an estimate, the last exception is raised again.
+    its path. If no run gave an estimate, the last exception is raised again; where the motion ends
+    early, UnfinishedRunError says so at the second run that fails.
     """
-    kinds: list[Runs] = [seer, *others]
+    kinds, tolerance = [seer, *others], wanted.tolerance
+    ending = Ending(wanted.problem, wanted.t_end, tolerance)
     spent, failures, ways = _Spent([]), list[Exception](), dict[Runs, float]()
     looks = 0
     while True:
@@ -204,6 +207,7 @@ def _search(
                 runs.mind(places)
         if isinstance(sample.result, Exception):
             failures.append(sample.result)
+            ending.require_motion(spent.runs[-1][1].integrator, sample.run)
     if not best.estimates:
         ended = any(x.samples for x in kinds)
         raise (
