@@ -23,15 +23,16 @@ _STUCK = frozenset(
         Verdict.OFF_ROOT,
         Verdict.FOLDED,
         Verdict.OFF_ROUTE,
+        Verdict.INDEFINITE,
     }
 )
-# Tolerance of the run that tells where the motion ends, at most, and its largest number of steps
-# over that of the run that failed.
+# Largest tolerance of the run that finds the end of the motion, and its largest number of steps
+# over the steps of the failed run.
 _RTOL, _MORE = 1e-5, 16
 # Largest distance of the end of a run from the end of the motion, steps. A motion whose
 # acceleration grows as q^m reaches infinity at T as (T - t)^-p, p = 2/(m - 1), and small changes of
 # it grow at the rate sqrt((p + 1)(p + 2))/(T - t). Newton's method fails where a step times this
-# rate is about one: 2.4 steps before T for m = 3, and 8 for m = 1.3.
+# rate is about one: 2.4 steps before T for m = 3, and 8 for m = 1.31.
 _NEAR = 8.0
 
 
