@@ -119,15 +119,20 @@ def _out_of_reach(
     """Return the error for a search whose runs cannot resolve the motion and give no error bar."""
     costs, steps = "; ".join(spent.price(*x) for x in ways.items()), seer.transitions.steps
     if steps and seer.least >= steps:
+        # Without loads that depend on the state the jump is one of the joints' reactions.
+        what, like, more = "accelerations jump", "", ""
+        if seer.loaded:
+            what, more = "a force jumps", "; or raise smooth_speed"
+            like = ", as dry friction does within its smooth_speed"
         return InvalidInputError(
             "tolerance",
-            f"derivatives need {steps} equal steps: a force jumps while the state changes by "
-            f"{seer.transitions.narrow:.1g} of its size, as dry friction does within its "
-            "smooth_speed, and the slope of the jump must be met by steps",
+            f"derivatives need {steps} equal steps: {what} while the state changes by "
+            f"{seer.transitions.narrow:.1g} of its size{like}, and the slope of the jump must be "
+            "met by steps",
             costs,
             "Control the errors of derivatives instead, which takes short steps at jumps alone: "
             f"Radau(AdaptiveSteps({0.01 * tolerance:.1g}, sensitivities=True)), and again with a "
-            "tenth of that rtol to see the error; or raise smooth_speed.",
+            f"tenth of that rtol to see the error{more}.",
         )
     return InvalidInputError(
         "tolerance",
