@@ -25,6 +25,7 @@ class Verdict(Enum):
     EQUILIBRIUM = "the equilibrium was reached"
     FOLDED = "elements are folded"
     OFF_ROUTE = "a guide is beyond the end of its beam, or a rope off its pulley"
+    INDEFINITE = "the mass matrix ceases to be positive definite"
     MISSED_CONTACT = "the steps do not resolve a contact"
     LIMIT_POINT = "the load has a limit point, above which there is no equilibrium nearby"
 

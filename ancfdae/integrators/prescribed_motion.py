@@ -28,6 +28,7 @@ from ancfdae.integrators.branch import (
     closed,
     followed,
 )
+from ancfdae.integrators.definite import indefinite
 from ancfdae.integrators.recorder import Rows, SolutionRecorder
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
@@ -42,6 +43,11 @@ _PLACES = np.linspace(0.0, 1.0, 5)
 _VELOCITIES = 0.1
 # States that are checked in one batch: one by one the checks would cost a quarter of a small step.
 _TOGETHER = 64
+_LIGHTER = (
+    "At the end of the next step, t = {:.6g}, it is negative in a direction that the constraints "
+    "permit. The motion ends before that, because accelerations are infinite where it is singular. "
+    "Choose a smaller t_end, or check mass_matrix."
+)
 # Least and largest number of states whose Phi_q is compared with one reference state in one batch;
 # in between, twice as many as were near the last reference.
 _ROWS, _MOST_ROWS = 4, 128
@@ -104,6 +110,7 @@ class Watch:
         # Whether the motion is known to be prescribed: other motions are not followed.
         self._driven = system.n_lam == system.n_q
         self._routed = system.traits.routed
+        self._inert = system.traits.constant_mass
         self._changes: Changes | None = None
 
     def missed(self, all_of_them: bool = False) -> Lost | None:
@@ -136,6 +143,10 @@ class Watch:
         if gone is not None:
             first, what = gone
             rows = Rows(*(x[:first] for x in rows))
+        lighter = None if self._inert else indefinite(self._system, rows)
+        if lighter is not None:
+            t = rows.t[lighter]
+            return Lost(lighter - 1, Verdict.INDEFINITE, _LIGHTER.format(t))
         t, q, _ = rows
         found = self._system.off_root(t[1:], q[1:])
         end = len(t) - 1 if found is None else found[0]

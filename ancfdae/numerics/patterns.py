@@ -124,10 +124,10 @@ class SparsityPattern:
         return values
 
     def dense(self, values: Array) -> Array:
-        """Return the matrix with these values as an array, shape (n_rows, n_columns)."""
-        matrix = np.zeros(self.shape[0] * self.shape[1], dtype=values.dtype)
-        matrix[self._flattened(self.rows, self.columns)] = values
-        return matrix.reshape(self.shape)
+        """Return the matrix with these values, or one for each row, (..., n_rows, n_columns)."""
+        matrix = np.zeros((*values.shape[:-1], self.shape[0] * self.shape[1]), dtype=values.dtype)
+        matrix[..., self._flattened(self.rows, self.columns)] = values
+        return matrix.reshape(*values.shape[:-1], *self.shape)
 
     def csr(self, values: Array) -> scipy.sparse.csr_array:
         """Return the matrix with these values as a SciPy array in compressed sparse rows."""

@@ -28,11 +28,11 @@ from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.observables import position, reaction, velocity
 from ancfdae.sections import Rectangle
 from ancfdae.sensitivity.observables.observable import states_of
-from ancfdae.studies.accuracy.features import RESOLVED, _smooth, features, passed_over
+from ancfdae.studies.accuracy.features import RESOLVED, Transition, _smooth, features, passed_over
 from ancfdae.studies.accuracy.hht_runs import HHTRuns
 from ancfdae.studies.accuracy.places import Seen, Witness
 from ancfdae.studies.accuracy.runs import Prices, Sample
-from ancfdae.studies.accuracy.search import _wanted
+from ancfdae.studies.accuracy.search import _out_of_reach, _Spent, _wanted
 from ancfdae.studies.accuracy.waves import Unresolved, Wave, missed
 from tests.support.mechanisms import CartesianPendulum, WrittenPendulum
 from validation.tolerance.scenes import HELD_OUT
@@ -252,3 +252,16 @@ def test_radau_is_taken_where_bars_of_hht_fall_with_its_order():
     exact = gradient(case.system, case.objective, case.t_end, Radau(case.t_end / 1500))
     assert isinstance(found.accuracy.integrator, Radau)
     assert abs(found.value - exact.value) <= found.accuracy.value_bar
+
+
+@pytest.mark.parametrize("rubs", [True, False])
+def test_a_refusal_blames_friction_only_where_a_load_depends_on_the_state(rubs):
+    friction = [lambda a: TranslationalFriction(a.at(0), (1, 0), 2.0, 1e-3, name="f")]
+    scene, a = sliding(*(friction if rubs else []))
+    system = assemble(scene)
+    seer = HHTRuns(_wanted(system, [Terminal(position(a.at(0), 0))], 1.0, 1e-6))
+    seer.transitions = Transition(10**7, 2e-4)
+    words = str(_out_of_reach(_Spent([]), {}, seer, 1e-6))
+    assert "derivatives need 10000000 equal steps" in words
+    assert ("friction" in words) is rubs
+    assert ("smooth_speed" in words) is rubs

@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.equations import ErrorEstimates
+from ancfdae.equations import ErrorEstimates, PlannedSystem
 from ancfdae.integrators.hht.equations import small_from
 from ancfdae.integrators.hht.method import HHT
 from ancfdae.integrators.integrator import Integrator
@@ -126,6 +126,12 @@ class HHTRuns(FixedStepRuns):
     def least(self) -> int:
         """Least number of steps; for derivatives it also resolves transitions of forces."""
         return max(super().least, self.transitions.steps if self._wanted.slopes else 0)
+
+    @property
+    def loaded(self) -> bool:
+        """Whether loads may depend on the state, as in every system without a plan."""
+        plan = self._system.plan if isinstance(self._system, PlannedSystem) else None
+        return plan is None or bool(plan.moving)
 
     @property
     def passes(self) -> bool:

@@ -105,7 +105,7 @@ class Prices(NamedTuple):
         if isinstance(plan, CalledPlan):
             return Prices(360.0, 0.0, 2200.0, 280.0)
         if isinstance(plan, ListPlan):
-            return Prices(2.0 + 0.5 * n, 0.0, 220.0 + 5.0 * n, 3.0 + n)
+            return Prices(2.0 + 0.5 * n, 60.0, 220.0 + 5.0 * n, 3.0 + n)
         moving, driven = len(plan.moving), plan.joint_factors is not None
         radau = 100.0 + 4.5 * n + 0.055 * n**2 + 25.0 * moving + 700.0 * driven
         evaluation = 10.0 + 0.17 * n

@@ -49,6 +49,7 @@ from ancfdae.sensitivity.objectives.reductions import OverTime, SmoothUpperBound
 from ancfdae.sensitivity.observables.expression import leaves
 from ancfdae.sensitivity.observables.observable import Observable, States, states_of
 from ancfdae.studies.accuracy.bars import Estimate
+from ancfdae.studies.accuracy.endings import Ending
 from ancfdae.studies.accuracy.features import features
 from ancfdae.studies.accuracy.hht_runs import HHTRuns
 from ancfdae.studies.accuracy.high_order_runs import DOP853Runs, RadauRuns
@@ -118,15 +119,20 @@ def _out_of_reach(
     """Return the error for a search whose runs cannot resolve the motion and give no error bar."""
     costs, steps = "; ".join(spent.price(*x) for x in ways.items()), seer.transitions.steps
     if steps and seer.least >= steps:
+        # Without loads that depend on the state the jump is one of the joints' reactions.
+        what, like, more = "accelerations jump", "", ""
+        if seer.loaded:
+            what, more = "a force jumps", "; or raise smooth_speed"
+            like = ", as dry friction does within its smooth_speed"
         return InvalidInputError(
             "tolerance",
-            f"derivatives need {steps} equal steps: a force jumps while the state changes by "
-            f"{seer.transitions.narrow:.1g} of its size, as dry friction does within its "
-            "smooth_speed, and the slope of the jump must be met by steps",
+            f"derivatives need {steps} equal steps: {what} while the state changes by "
+            f"{seer.transitions.narrow:.1g} of its size{like}, and the slope of the jump must be "
+            "met by steps",
             costs,
             "Control the errors of derivatives instead, which takes short steps at jumps alone: "
             f"Radau(AdaptiveSteps({0.01 * tolerance:.1g}, sensitivities=True)), and again with a "
-            "tenth of that rtol to see the error; or raise smooth_speed.",
+            f"tenth of that rtol to see the error{more}.",
         )
     return InvalidInputError(
         "tolerance",
@@ -151,7 +157,7 @@ def search(
         # Coarse runs are made only to be compared, and short steps in sharp places are intended.
         for kind in (StabilityWarning, ManyStepsWarning):
             warnings.simplefilter("ignore", kind)
-        found = _search(seer, others, measure, wanted.tolerance, witness)
+        found = _search(seer, others, measure, wanted, witness)
     if not found.reached:
         text = f"tolerance {wanted.tolerance:g}: {found.why}"
         warnings.warn(text, ToleranceWarning, stacklevel=level + 1)
@@ -159,14 +165,16 @@ def search(
 
 
 def _search(
-    seer: HHTRuns, others: Sequence[Runs], measure: Measure, tolerance: float, witness: Witness
+    seer: HHTRuns, others: Sequence[Runs], measure: Measure, wanted: Wanted, witness: Witness
 ) -> Found:
     """Run integrators until one reaches the tolerance or the next run would exceed the cost limit.
 
     A run that passed over a sharp place does not count; all sequences then resolve the places of
-    its path. If no run gave an estimate, the last exception is raised again.
+    its path. If no run gave an estimate, the last exception is raised again; where the motion ends
+    early, UnfinishedRunError says so at the second run that fails.
     """
-    kinds: list[Runs] = [seer, *others]
+    kinds, tolerance = [seer, *others], wanted.tolerance
+    ending = Ending(wanted.problem, wanted.t_end, tolerance)
     spent, failures, ways = _Spent([]), list[Exception](), dict[Runs, float]()
     looks = 0
     while True:
@@ -204,6 +212,7 @@ def _search(
                 runs.mind(places)
         if isinstance(sample.result, Exception):
             failures.append(sample.result)
+            ending.require_motion(spent.runs[-1][1].integrator, sample.run)
     if not best.estimates:
         ended = any(x.samples for x in kinds)
         raise (
