@@ -121,6 +121,9 @@ class PhaseMarch:
         while len(phases) < _MOST:
             phase = self._phase(mode, state, first, happened)
             if not phase.run.outcome.success:
+                if closed > 0 and len(phase.times) == 1 and phases[-1].event is not None:
+                    # No step is short enough for a gap that stays closed.
+                    return self._accumulated(before, phases, phase, phases[-1].event)
                 return self._ended(before, [*phases, phase], phase.run.outcome)
             event, system = phase.event, mode.system
             sizes = (norm(system.centred(x), system.weights) for x in phase.run.q[[0, -1]])

@@ -424,3 +424,22 @@ def test_impulses_are_found_where_friction_is_large():
         slid = speed > 1e-6
         opposite = -(mu * N / np.where(slid, speed, 1.0))[:, None] * s
         np.testing.assert_allclose(T[slid], opposite[slid], atol=1e2 * small)
+
+
+@pytest.mark.parametrize("step", [1e-3, 5e-4])
+def test_gap_that_stays_closed_ends_with_the_repair_where_no_step_converges(step):
+    c, s, half = np.cos(0.5), np.sin(0.5), (0.4, 0.5, 0.3)
+    corners = [(x * half[0], y * half[1], -half[2]) for x in (1, -1) for y in (1, -1)]
+    place = (0.0, 0.0, max(s * x - c * z for x, _, z in corners) + 0.02)
+    body = RigidBody("box", place, mass=1.0, inertia=(0.06, 0.07, 0.09), turn=(0.0, 0.5, 0.0))
+    start = [InitialVelocity("box", (0.0, 2.2, 0.0), about=place, velocity=(-0.8, 0.1, -2.0))]
+    scene = Scene((), (), (0, 0, -10.0), bodies=[body], start=start)
+    events = [
+        Impact(
+            position(point, 2), 0.0, f"corner {i}", friction=0.1,
+            sliding=(velocity(point, 0), velocity(point, 1)),
+        )
+        for i, point in enumerate(body.at(*x) for x in corners)
+    ]  # fmt: skip
+    run = simulate(scene, 0.03, HHT(step), events=events)
+    assert "rest=" in str(run.outcome)
