@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import final
 
 from ancfdae.equations import Solution
@@ -37,7 +37,6 @@ _NEAR = 8.0
 
 
 @final
-@dataclass
 class Ending:
     """Search for the end of a motion from runs of it that failed.
 
@@ -46,11 +45,10 @@ class Ending:
     short, gets further.
     """
 
-    problem: InitialValueProblem
-    t_end: float
-    tolerance: float
-    _failures: int = field(default=0, init=False)
-    _controlled: Solution | None = field(default=None, init=False)
+    def __init__(self, problem: InitialValueProblem, t_end: float, tolerance: float) -> None:
+        self._system, self._t_end, self._tolerance = problem.system, t_end, tolerance
+        self._failures = 0
+        self._controlled: Solution | None = None
 
     def require_motion(self, setting: Integrator, run: Solution) -> None:
         """Raise UnfinishedRunError if the motion ends where a run with this setting failed."""
@@ -61,9 +59,9 @@ class Ending:
             return
         steps, reached = run.statistics.steps, run.outcome.time
         if self._controlled is None:
-            control = AdaptiveSteps(min(self.tolerance, _RTOL), max_steps=_MORE * (steps + 1))
+            control = AdaptiveSteps(min(self._tolerance, _RTOL), max_steps=_MORE * (steps + 1))
             integrator = Radau(control)
-            whole = uninterrupted(integrator.integrate(self.problem.system, self.t_end))
+            whole = uninterrupted(integrator.integrate(self._system, self._t_end))
             if whole.outcome.verdict is Verdict.STEP_LIMIT:
                 return  # The next failure allows more steps.
             self._controlled = whole
