@@ -219,7 +219,8 @@ def outcome(seed: int) -> tuple[str, str]:
     # Derivatives after a phase have the round-off of coordinates over the distance moved in it.
     moved = min(float(np.max(np.abs(phase.q[-1] - phase.q[0]))) for phase in run.phases)
     limit = max(_APART, _LOST * float(np.max(np.abs(run.q))) / (moved or np.inf))
-    return "finished, gradient", f"methods apart by {apart:.1e}" if apart > limit else ""
+    # NaN is not within the limit.
+    return "finished, gradient", "" if apart <= limit else f"methods apart by {apart:.1e}"
 
 
 def _wrong(scene: _Scene, run: EventSolution) -> str:
