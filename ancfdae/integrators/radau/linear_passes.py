@@ -51,7 +51,7 @@ from ancfdae.integrators.radau.stages import (
     stage_matrices,
 )
 from ancfdae.integrators.start import Covectors, pull_back_start
-from ancfdae.kernels import RULES
+from ancfdae.kernels import RULES, March, Model
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
 
@@ -113,6 +113,26 @@ class StageKernel:
         return self._prepared.go(
             lambda x, at: x.differentiate_stages(self._coupled, steps, known, *given, at), 0
         )
+
+    def embedded_errors(
+        self, h: float, t: float, state: tuple[Array, ...], rows: tuple[Array, Array, Array]
+    ) -> Array:
+        """Return errors dq and dv of derivatives in a step of size h, shape (2, n_b, n_q).
+
+        The state (q, v, a, lam) at t is the middle stage. Rows are v_b at the start and the stages,
+        a_b at the start, and x_b at the stages. Raises SingularMatrix.
+        """
+        plan, instant = self._prepared.plan, np.array([t])
+        joints = np.ones(1) if plan.joint_factors is None else plan.joint_factors(instant, 1)[0, 0]
+        errors, loads = np.empty((2, *rows[1].shape)), plan.load_factors(instant)[0]
+
+        def passed(model: Model, _: int) -> tuple[int, int]:
+            end = model.embedded_errors(h, state, (joints, loads), rows, errors, TABLEAU)
+            return int(end == March.ALL_TAKEN), end
+
+        if not self._prepared.go(passed, 0):
+            raise SingularMatrix("the matrix of the embedded formula is singular")
+        return errors
 
     def backward(self, steps: Packet, seeds: OnStates, on: Array, to: tuple[Array, ...]) -> None:
         """Take transposed steps back from the last; raises SingularMatrix."""
