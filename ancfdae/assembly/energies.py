@@ -43,7 +43,8 @@ class JointWork:
         alone = replace(item, dropped=tuple(range(moving, len(c.offset))))
         structure = JointStructure.of([alone], vectors)
         pattern = SparsityPattern((vectors.n_q, vectors.n_q), *structure.couplings)
-        self._constraints = JointConstraints.on(pattern, structure, vectors.n_b)
+        curved = pattern.index(*structure.couplings)
+        self._constraints = JointConstraints(structure, curved, pattern.size, vectors.n_b)
         self.rows = slice(first_row, first_row + moving)
 
     def value(self, t: Array, q: Array, lam: Array) -> Array:

@@ -211,21 +211,6 @@ class MassPlaces:
     directions: Array
     positions: Array
 
-    @staticmethod
-    def of(
-        vectors: tuple[Array, ...], numbering: Numbering, pattern: SparsityPattern
-    ) -> MassPlaces:
-        """Return the blocks' indices for a pattern that contains their entries."""
-        at = pattern.index(*coupled(map(numbering.coordinates, vectors)))
-        directions = numbering.coordinates(numbering.frames[:, 1:])
-        positions = np.concatenate([body.positions for body in numbering.bodies])
-        return MassPlaces(vectors, at, directions, positions)
-
-    def fits(self, vectors: tuple[Array, ...]) -> bool:
-        """Whether mass blocks on these vectors have the same indices."""
-        same = map(np.array_equal, self.vectors, vectors)
-        return len(vectors) == len(self.vectors) and all(same)
-
 
 # Smallest weight of a direction of a rigid body, over its largest.
 _LEAST = 1e-12
@@ -251,16 +236,15 @@ class Inertia:
         gravity: tuple[Array, Array],
         before: MassPlaces | None = None,
     ) -> None:
-        self._n_b, self._n_q, self._d, self._blocks = (
-            n_b,
-            numbering.n_q,
-            numbering.d,
-            blocks,
-        )
-        n_q, d = self._n_q, self._d
+        n_q, d = numbering.n_q, numbering.d
+        self._n_b, self._n_q, self._d, self._blocks = n_b, n_q, d, blocks
         vectors = tuple(x.vectors for x in blocks)
-        if before is None or not before.fits(vectors):
-            before = MassPlaces.of(vectors, numbering, pattern)
+        same = before is not None and len(vectors) == len(before.vectors)
+        if before is None or not (same and all(map(np.array_equal, before.vectors, vectors))):
+            at = pattern.index(*coupled(map(numbering.coordinates, vectors)))
+            directions = numbering.coordinates(numbering.frames[:, 1:])
+            positions = np.concatenate([body.positions for body in numbering.bodies])
+            before = MassPlaces(vectors, at, directions, positions)
         self.places = before
         values = np.concatenate([np.repeat(x.m.ravel(), d) for x in blocks])
         self._pattern, at, count = pattern, self.places.at, pattern.size

@@ -146,7 +146,11 @@ class _Trace:
     def _require_the_same(self, Phi: OperationList) -> None:
         """Raise InvalidInputError if recorded equations and direct calls give different values."""
         item, joint = self._item, self._joint
-        p, reference, laws = item.p.real, item.reference.real, item.factors(np.zeros(1), 0).real
+        p, reference, laws = (
+            item.p.real,
+            item.reference.real,
+            item.joint.factors(item.p, np.zeros(1), 0).real,
+        )
         with np.errstate(all="ignore"):
             called = joint.equations(reference.copy(), p.copy(), reference.copy(), laws[:, 0])
         state = np.concatenate([reference.ravel(), p, reference.ravel(), laws[:, 0]])

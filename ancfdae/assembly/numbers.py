@@ -341,7 +341,8 @@ def _placed(
 ) -> tuple[JointConstraints, LoadForces, AssembledStart]:
     """Return constraints, loads and start, which depend on the reference geometry."""
     pattern, mapping, n_b = structure.pattern, structure.mapping, len(b)
-    constraints = JointConstraints.on(pattern, geometry.joints, n_b)
+    curved = pattern.index(*geometry.joints.couplings)
+    constraints = JointConstraints(geometry.joints, curved, pattern.size, n_b)
     reached = geometry.reached_by(structure)
     start = AssembledStart(
         structure.scene,

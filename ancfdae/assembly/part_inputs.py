@@ -1,26 +1,32 @@
 """Numeric inputs of joints and loads: their vectors, design fields and reference vectors."""
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.joint_input import HeldAngles, JointInput
+from ancfdae.assembly.joint_input import JointInput
 from ancfdae.assembly.joint_structure import JointStructure
+from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.load_forces import LoadInput, own_numbers
 from ancfdae.assembly.naming import PointVector, SceneNaming, Vectors, point_vectors
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.assembly.reference import Reference
+from ancfdae.errors.checks import require_index
 from ancfdae.model.bodies import MaterialPoint, Quantity
-from ancfdae.model.joints.joint import Joint, JointEquations, empty_equations
+from ancfdae.model.joints.joint import Joint, JointEquations, RightAngle, empty_equations
 from ancfdae.model.loads.load import Load
 from ancfdae.model.parts import Elements, FrameDirection, Part
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import STEP, Array
+
+_FLAT = frozenset((Quantity.SLOPE_Y, Quantity.SLOPE_Z))
+# Fraction of the element length within which two locations count as one.
+_NEAR = 1e-6
 
 
 @final
@@ -56,6 +62,41 @@ class Rigidity(Joint):
 
 
 @final
+class HeldAngles:
+    """The right angles of sections that joints keep so far.
+
+    Slopes of a section are linear along an element, and so is the change of its right angle: two
+    sections of an element fix it in every other one. Bodies in `rigid` keep their shape by
+    themselves; elements without a section have no right angle.
+    """
+
+    def __init__(self, layout: Layout, rigid: Container[str] = ()) -> None:
+        self._layout, self._rigid = layout, rigid
+        self._named: set[RightAngle] = set()
+        self._flat: dict[str, Array] = {}
+
+    def add(self, angle: RightAngle) -> bool:
+        """Add a right angle of a section; return whether it needs an equation."""
+        if angle.fraction is None or angle.beam in self._rigid or angle in self._named:
+            return False
+        beam = self._layout.beam(angle.beam)
+        if Quantity.SLOPE_Y not in beam.element.quantities:
+            return False
+        self._named.add(angle)
+        if angle.slopes != _FLAT:
+            return True
+        element, xi = beam.locate(angle.fraction, angle.before)
+        weights = np.zeros((1, beam.element_count + 1))
+        weights[0, element], weights[0, element + 1] = 1 - xi, xi
+        held = self._flat.get(angle.beam, weights[:0])
+        both = np.vstack([held, weights])
+        if np.linalg.matrix_rank(both, tol=_NEAR) == len(held):
+            return False
+        self._flat[angle.beam] = both
+        return True
+
+
+@final
 @dataclass(frozen=True, eq=False)
 class PartInputs:
     """Inputs of joints and loads, with their design derivatives, at design values b."""
@@ -68,15 +109,24 @@ class PartInputs:
     b: Array
 
     def joints(self) -> JointStructure:
-        """Return the structure of all joints, with the constraints of rigid bodies."""
+        """Return the structure of all joints, with the constraints of rigid bodies.
+
+        Equations that the scene leaves out, and right angles that are kept already, are dropped.
+        """
         bodies = zip(self.numbering.bodies, self.numbering.rigid, strict=True)
         rigidities = [Rigidity(body.name) for body, rigid in bodies if rigid]
         held = HeldAngles(self.naming.layout, {item.beam for item in rigidities})
         inputs, vectors = self._together((*self.scene.joints, *rigidities))
-        without: dict[str, list[int]] = {}
-        for name, row in self.scene.left_out:
-            without.setdefault(name, []).append(row)
-        inputs = [item.shaped(held, without.get(item.joint.name, ())) for item in inputs]
+        for k, item in enumerate(inputs):
+            name, c = item.joint.name, item.parts[0]
+            left_out = [row for owner, row in self.scene.left_out if owner == name]
+            for row in left_out:
+                where = f"Scene.left_out, equation of {name!r}"
+                require_index(where, row, len(c.offset), "Counted from 0.")
+            shapes = enumerate(c.shapes, len(c.offset) - len(c.shapes))
+            dropped = {row for row, angle in shapes if not held.add(angle)} | {*left_out}
+            if dropped:
+                inputs[k] = replace(item, dropped=tuple(sorted(dropped)))
         return JointStructure.of(inputs, vectors)
 
     def joints_like(self, known: JointStructure) -> JointStructure | None:
@@ -153,7 +203,10 @@ class PartInputs:
     def _in_reference(self, vectors: Vectors) -> tuple[Array, dict[int, Array]]:
         """Return vectors in the reference, (n_v, d), and their nonzero design partials."""
         q_o, active = self.reference.q, self.reference.active
-        reference, along = vectors.of(q_o[None])[0], vectors.of_b(q_o[None])[0]
+        reference = vectors.of(q_o[None])[0]
+        along = np.zeros((*reference.shape, len(self.b)), dtype=q_o.dtype)
+        for i in np.flatnonzero(vectors.moves):
+            along[..., i] = vectors.moved(int(i)).of(q_o.real[None])[0].imag / STEP
         if active:
             q_ob = np.array([self.reference.moved(i).q.imag / STEP for i in active])
             along[..., active] += np.moveaxis(vectors.of(q_ob), 0, -1).real

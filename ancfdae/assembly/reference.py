@@ -114,7 +114,11 @@ class Reference:
 
     def _of(self, nodes: Array, body: BeamBody | RigidBody) -> Array:
         """Return the vectors of a body, (count, d), from vectors of nodes or of element ends."""
-        return self._naming.layout.body(body.name).of_ends(nodes)
+        layout = self._naming.layout.body(body.name)
+        X = nodes if nodes.ndim == 4 else np.stack([nodes[:-1], nodes[1:]], axis=1)
+        vectors = np.zeros((layout.count, X.shape[-1]), dtype=X.dtype)
+        vectors[layout.ends - layout.first_vector] = X.reshape(*layout.ends.shape, -1)
+        return vectors
 
     def _positions(self, body: BeamBody | RigidBody) -> Array:
         """Return the indices of the positions among the vectors of a body."""

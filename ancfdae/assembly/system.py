@@ -125,7 +125,8 @@ class AncfSystem(PlannedSystem):
         return SystemProperties(
             constant_mass=True,
             linear_constraints=joints.linear,
-            constant_constraints=joints.constant,
+            # The same at all times and designs.
+            constant_constraints=joints.tangent is not None and not joints.active,
             velocity_forces=damped or turning or self._loads.uses_velocity,
             # Damping of bodies turns with them: -(D(q) v)_q is not symmetric; nor are loads that
             # move, nor gyroscopic forces.
@@ -194,7 +195,7 @@ class AncfSystem(PlannedSystem):
             self.constraint_pattern.rows_of(np.zeros(self.constraint_pattern.size)),
             factors.over if factors.driven else None,
             self._loads.factors,
-            self._loads.plans(),
+            self._loads.plans,
             self._loads.turning,
         )
 
@@ -370,7 +371,7 @@ class AncfSystem(PlannedSystem):
 
         There the derivative of its equation in the angle has not the sign that it has at the start.
         """
-        if not self._constraints.turns or np.iscomplexobj(q) or np.iscomplexobj(self.b):
+        if not self._constraints.factors.turns or np.iscomplexobj(q) or np.iscomplexobj(self.b):
             return None
         off = self._constraints.by_turn(q, t) * self._sides < 0
         instants = np.flatnonzero(np.any(off, axis=1))

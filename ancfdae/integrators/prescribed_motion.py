@@ -2,7 +2,7 @@
 
 Constraints have several solutions, and a long step can end at another one than the motion leads to.
 The equation of a prescribed angle holds half a turn off as well: its root is checked at the start
-(`refuse_opposite` of the assembly), and here after every step. Joints may also close in another way
+(`AssembledStart` of the assembly), and here after every step. Joints may also close in another way
 (the crossed four-bar), or lock on the way: steps of prescribed motions that change Phi_q much are
 followed (`branch`). Coordinates that the constraints determine alone, as of a driven linkage with a
 pendulum at its slider, are followed without the free ones, which could lead them past a singular

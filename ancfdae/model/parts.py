@@ -230,16 +230,6 @@ class Part(Designable, abc.ABC):
         """Points that the part acts on, `point` first."""
         return tuple(self.point_fields().values())
 
-    @property
-    def stands_at(self) -> MaterialPoint | None:
-        """The point at whose reference position the part is fixed to ground by default.
-
-        None if `ground` or `other` is declared, or the part needs neither.
-        """
-        given = self._given()
-        joined = "ground" not in given or given["ground"] is not None or given.get("other")
-        return None if joined else given["point"]
-
     def ground_place(self) -> Sequence[float] | None:
         """Return the declared position on the ground, shape (d,), m; None if undeclared."""
         return self._given().get("ground")
@@ -385,6 +375,11 @@ def reference_place(point: MaterialPoint, member: _Member) -> Array:
 
 
 def on_ground(part: _Any, member: _Member) -> _Any:
-    """Return the part with `ground` declared: by default the reference position of its point."""
-    point = part.stands_at
-    return part if point is None else part.on_ground(reference_place(point, member).tolist())
+    """Return the part with `ground` declared: by default the reference position of its point.
+
+    A part with a second point, or that needs neither, is returned as it is.
+    """
+    given = part._given()
+    if "ground" not in given or given["ground"] is not None or given.get("other"):
+        return part
+    return part.on_ground(reference_place(given["point"], member).tolist())
