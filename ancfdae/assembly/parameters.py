@@ -102,7 +102,7 @@ def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMa
 
     Raises UnknownNameError for unknown targets, InvalidInputError for two targets of one number.
     """
-    base, none = scene.element_parameters(), np.zeros(0, dtype=np.int64)
+    base, none = scene.element_parameters, np.zeros(0, dtype=np.int64)
     pairs = [(none, none, none, np.zeros(0), np.zeros(0))]
     owner: dict[tuple[int, int], str] = {}
     slots: dict[str, list[tuple[int, int, float, float]]] = {}

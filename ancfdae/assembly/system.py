@@ -337,7 +337,7 @@ class AncfSystem(PlannedSystem):
 
     def contacts(self) -> ContactRecord | None:
         """Return a record for the contacts of one run; None without contact loads."""
-        loads = self._loads.touching()
+        loads = self._loads.touching
         if not loads:
             return None
         groups = Groups.of(self._numbering, self.weights)

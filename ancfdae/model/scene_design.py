@@ -347,7 +347,7 @@ class SceneDesign(Designable):
         which = beam.parameter_names()[target.parameter]
         if which is ElementParameter.LENGTH:
             return [float(np.sum(beam.reference().lengths))]
-        return self._element_parameters[rows, which].tolist()
+        return self.element_parameters[rows, which].tolist()
 
     def target_elements(self, target: Target) -> Array:
         """Return the indices, among all elements of the scene, of the elements of a target.
@@ -359,14 +359,13 @@ class SceneDesign(Designable):
         elements = self.first_elements()[beam.name] + np.arange(beam.element_count)
         return elements if target.element is None else elements[[target.element]]
 
-    def element_parameters(self) -> Array:
-        """Return the parameters of all elements, shape (n, 10); columns: `ElementParameter`."""
-        return self._element_parameters.copy()
-
     @cached_property
-    def _element_parameters(self) -> Array:
+    def element_parameters(self) -> Array:
+        """Parameters of all elements, shape (n, 10); columns: `ElementParameter`."""
         rows = [beam.element_parameters() for beam in self.beams]
-        return np.concatenate([np.zeros((0, len(ElementParameter))), *rows])
+        parameters = np.concatenate([np.zeros((0, len(ElementParameter))), *rows])
+        parameters.setflags(write=False)
+        return parameters
 
     def _all_parts(self) -> tuple[_Part, ...]:
         """Return all parts, and loads of `EquilibriumStart` that do not act during the motion."""

@@ -151,7 +151,7 @@ def _naming(scene: Scene) -> SceneNaming:
         numbering.controllers,
         numbering.sliders,
     )
-    lengths = scene.element_parameters()[:, ElementParameter.LENGTH]
+    lengths = scene.element_parameters[:, ElementParameter.LENGTH]
     return SceneNaming(layout, lengths, np.zeros((len(lengths), 0)))
 
 

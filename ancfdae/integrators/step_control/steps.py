@@ -118,7 +118,7 @@ class FixedSteps(_KnownSteps):
     def instants(self, t_end: float) -> Array:
         """Return the times of the steps, (n + 1,), s, without accumulated round-off."""
         count = self.count(t_end)
-        if self._is_step(t_end / count):
+        if math.isclose(t_end / count, self.step, rel_tol=_WHOLE):
             return self.step * np.arange(count + 1)
         return np.linspace(0.0, t_end, count + 1)
 
@@ -133,10 +133,7 @@ class FixedSteps(_KnownSteps):
     def _size(self, t: Array) -> float:
         """Return the step size of a run with times t; s."""
         taken = float(t[1]) if len(t) > 1 else self.step
-        return self.step if self._is_step(taken) else taken
-
-    def _is_step(self, taken: float) -> bool:
-        return math.isclose(taken, self.step, rel_tol=_WHOLE)
+        return self.step if math.isclose(taken, self.step, rel_tol=_WHOLE) else taken
 
 
 @final
