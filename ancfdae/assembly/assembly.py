@@ -26,16 +26,15 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.closing import SOFT, Closing, Declared, Matrix, Unknowns
+from ancfdae.assembly.closing import SOFT, Closing, Declared, LeastNorm, Matrix, Unknowns
 from ancfdae.assembly.constraints import JointConstraints
+from ancfdae.assembly.geometry import Reference
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
-from ancfdae.assembly.reference import Reference
 from ancfdae.assembly.rigid_motions import RigidMotions
 from ancfdae.errors.kinds import InconsistentStartError
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.least_norm import LeastNorm
 from ancfdae.numerics.patterns import SparsityPattern
 
 _ITERATIONS = 60

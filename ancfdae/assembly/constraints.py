@@ -1,7 +1,7 @@
 """Constraints of all joints at once, with their dependence on time and on the design.
 
 With the point vectors U = L q of all joints they are polynomials in U, or formulas recorded as
-lists of operations (`assembly/joint_formulas.py`); compiled kernels evaluate both.
+lists of operations (`assembly/joint_input.py`); compiled kernels evaluate both.
 docs/theory/03-joints-and-loads.md lists the derived quantities.
 """
 

@@ -14,8 +14,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ancfdae.assembly.joint_formulas import formula_lists
-from ancfdae.assembly.joint_input import JointInput
+from ancfdae.assembly.joint_input import JointInput, formula_lists
 from ancfdae.assembly.layout import JointLayout
 from ancfdae.assembly.naming import Vectors
 from ancfdae.kernels import ConstraintPlan, OperationList

@@ -15,8 +15,7 @@ from ancfdae.assembly.folds import Folds, first_mirrored
 from ancfdae.assembly.load_forces import LoadInput
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbers import Numbers
-from ancfdae.assembly.parameters import parameter_map
-from ancfdae.assembly.value_limits import value_limits
+from ancfdae.assembly.parameters import parameter_map, value_limits
 from ancfdae.equations import (
     DesignPartials,
     Linearisation,

@@ -25,10 +25,9 @@ from ancfdae.model.bodies import (
     require_in_section,
     require_point,
 )
-from ancfdae.model.joints.formula_joint import FormulaJoint
-from ancfdae.model.joints.joint import Joint
+from ancfdae.model.joints.joint import FormulaJoint, Joint
 from ancfdae.model.loads.load import Load
-from ancfdae.model.point_mass import PointMass
+from ancfdae.model.parts import PointMass
 from ancfdae.model.scene_design import SCENE, SceneDesign
 from ancfdae.model.starts import EquilibriumStart, InitialVelocity, NodalState, Start, checked_start
 from ancfdae.model.turning_frame import RotatingFrame, require_frame

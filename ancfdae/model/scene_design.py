@@ -17,8 +17,15 @@ from ancfdae.model.design import Designable, DesignVariable, Target, parse_targe
 from ancfdae.model.elements import ElementParameter
 from ancfdae.model.joints.joint import Joint
 from ancfdae.model.loads.load import Load
-from ancfdae.model.parts import TARGETS, Elements, Normal, Part, on_ground, reference_place
-from ancfdae.model.point_mass import PointMass
+from ancfdae.model.parts import (
+    TARGETS,
+    Elements,
+    Normal,
+    Part,
+    PointMass,
+    on_ground,
+    reference_place,
+)
 from ancfdae.model.starts import EquilibriumStart, InitialVelocity, NodalState, Start
 from ancfdae.numerics.arrays import Array
 

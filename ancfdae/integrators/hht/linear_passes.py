@@ -47,7 +47,7 @@ from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.kernels import RULES
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
-from ancfdae.numerics.progress import progress_bar
+from ancfdae.numerics.timing import progress_bar
 
 # Most numbers in the arrays of a chunk of steps, small enough for the cache (crank-slider,
 # measured: chunks of 16 to 32 steps are 1.4 times faster than 64).

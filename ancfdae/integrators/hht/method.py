@@ -30,8 +30,13 @@ from ancfdae.integrators.hht.equations import (
 )
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import HHTStepper
-from ancfdae.integrators.integrator import DefectIntegrator, PartwiseIntegrator, RunInParts, Seeds
-from ancfdae.integrators.missed_contacts import with_contacts
+from ancfdae.integrators.integrator import (
+    DefectIntegrator,
+    PartwiseIntegrator,
+    RunInParts,
+    Seeds,
+    with_contacts,
+)
 from ancfdae.integrators.problem import InitialValueProblem, Scales
 from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.start import Covectors, pull_back_start
