@@ -26,16 +26,15 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.closing import SOFT, Closing, Declared, Matrix, Unknowns
+from ancfdae.assembly.closing import SOFT, Closing, Declared, LeastNorm, Matrix, Unknowns
 from ancfdae.assembly.constraints import JointConstraints
+from ancfdae.assembly.geometry import Reference
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
-from ancfdae.assembly.reference import Reference
 from ancfdae.assembly.rigid_motions import RigidMotions
 from ancfdae.errors.kinds import InconsistentStartError
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.least_norm import LeastNorm
 from ancfdae.numerics.patterns import SparsityPattern
 
 _ITERATIONS = 60
@@ -388,27 +387,31 @@ class AssembledStart:
 
     @cached_property
     def state(self) -> tuple[Array, Array]:
-        """Coordinates q and velocities v of the start, shape (n_q,) each.
+        """Coordinates q and velocities v of the start, shape (n_q,) each: as declared, or closed.
 
-        Raises InconsistentStartError if joints stay open that `project_start` does not close.
+        Raises InconsistentStartError if joints stay open that `project_start` does not close, or if
+        a driven section starts half a turn off its angle, where the driver's equation holds, too.
         """
-        if self._stands:
-            q = self.reference.Z.ravel()
-            v = self.reference.velocities(q, None)
-        else:
+        Z, joints = self.reference.Z, self.joints
+        if self._moves or np.iscomplexobj(Z) or joints.is_complex:
             q, v = self._closed()
-        self.joints.refuse_opposite(q, 0.0)
+        else:
+            q = Z.ravel()
+            v = self.reference.velocities(q, None)
+        opposite = joints.opposite(q, 0.0)
+        if opposite is not None:
+            raise InconsistentStartError(
+                f"joint {opposite!r}",
+                "the section must start at the angle of the law",
+                "one that points the other way",
+                "Add pi to the offset of the law, or declare the body turned to that angle.",
+            )
         return q, v
 
     @property
     def _moves(self) -> bool:
         """Whether bodies move to close joints: if asked to, or if the design displaces them."""
         return self.scene.assemble or self.scene.project_start or self.displaced
-
-    @property
-    def _stands(self) -> bool:
-        """Whether the start is exactly as declared."""
-        return not (self._moves or np.iscomplexobj(self.reference.Z) or self.joints.is_complex)
 
     def _closed(self) -> tuple[Array, Array]:
         assembly = self._assembly

@@ -118,11 +118,6 @@ class Steps:
         """Return the size of the step after time point n relative to the step before it."""
         return float(self.h[n] / self.h[n - 1])
 
-    def columns(self, steps: slice) -> Coefficients:
-        """Return Newmark coefficients of the steps to time points `steps`, with h as a column."""
-        h = self.h[steps.start - 1 : steps.stop - 1]
-        return Coefficients(h[:, None], self.alpha)
-
 
 class Node(NamedTuple):
     """State of the recurrence of HHT-I3 after a step.
