@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from scipy.integrate import quad
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from scipy.optimize import minimize_scalar
 
 from ancfdae import (
@@ -13,7 +13,6 @@ from ancfdae import (
     HHT,
     Beam,
     BeamPairContact,
-    InitialVelocity,
     Material,
     NodalState,
     Radau,
@@ -108,7 +107,7 @@ def closest(far, low, high):
 
 
 def independent(nodes, length, radius, stiffness, points, exponent=1.5, first=0.3):
-    """The same force by SciPy's spline and minimiser, of points on the line behind `first` of it."""
+    """The same force by SciPy's spline and minimiser, without pairs nearer than `first` of it."""
     n = len(nodes) - 1
     s, l = np.linspace(0.0, length, n + 1), length / n
     line = CubicHermiteSpline(s, nodes[:, 0], nodes[:, 1])
@@ -121,8 +120,9 @@ def independent(nodes, length, radius, stiffness, points, exponent=1.5, first=0.
     places = np.arange(n)[:, None] * l + l * (gauss + 1) / 2
     force = np.zeros((2 * (n + 1), nodes.shape[2]))
     for a, w in zip(places.ravel(), np.tile(weights * l / 2, n), strict=True):
+        c = line(a)
 
-        def far(b, c=line(a)):
+        def far(b, c=c):
             return np.linalg.norm(line(b) - c)
 
         grid = np.arange(a + first * length, length, l / 20)
@@ -133,7 +133,7 @@ def independent(nodes, length, radius, stiffness, points, exponent=1.5, first=0.
                 if far(b) < 2 * radius:
                     F = w * stiffness * (2 * radius - far(b)) ** exponent
                     weight = np.array([g(a) - g(b) for g in basis])[:, None]
-                    force += weight * F * (line(a) - line(b)) / far(b)
+                    force += weight * F * (c - line(b)) / far(b)
     return force.reshape(n + 1, 2, -1)
 
 
