@@ -295,7 +295,7 @@ class BeamPairContact(PairContact):
         return found if len(balls) == 2 else found[found[:, 0] < found[:, 1]]
 
     def adjoining(self, places: Sequence[Array]) -> Array:
-        """Return the pairs of elements of one beam with less than a diameter between them.
+        """Return pairs of elements of one beam with less than a diameter between them, (n, 2).
 
         Neighbours are among them. Without a second beam the list is of all k <= j.
         """
