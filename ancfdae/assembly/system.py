@@ -335,12 +335,15 @@ class AncfSystem(PlannedSystem):
         return self._folds.strained(q)
 
     def contacts(self) -> ContactRecord | None:
-        """Return a record for the contacts of one run; None without contact loads."""
+        """Return a record for the contacts of one run; None without contact loads.
+
+        Raises InvalidInputError if a beam that touches itself has too few elements at the start.
+        """
         loads = self._loads.touching
         if not loads:
             return None
         groups = Groups.of(self._numbering, self.weights)
-        return RunContacts(loads, self.naming, self._scene.elements, groups)
+        return RunContacts(loads, self.naming, self._scene.elements, groups, self.start()[0])
 
     def constraint(self, t: float, *motion: Array) -> Array:
         """Return Phi, (n_lam,), or its time derivative of the order of the rates in `motion`."""

@@ -393,7 +393,8 @@ def _root(x: float, order: int) -> float:
 # time is reached).
 _STEPS, _SHARE = 100, 1e-12
 # Steps count as steady if the last quarter of a hundred advances by a factor between these limits
-# relative to the quarter before.
+# relative to the quarter before, or a hundred relative to the hundred before: where stability
+# limits steps, repeated ones disturb quarters.
 _SLOWER, _FASTER = 0.5, 1.5
 # Number of hundreds of steps in a row that must predict too many steps before a warning.
 _IN_A_ROW = 20
@@ -412,7 +413,7 @@ class Pace:
     def __init__(self, t_end: float, many: int, remedy: str, *, sure: bool = False) -> None:
         self._t_end, self._many, self._remedy = t_end, many, remedy
         self._least, self._told = _SHARE * t_end, False
-        self._foretold = _IN_A_ROW - 1 if sure else 0
+        self._foretold, self._hundred = _IN_A_ROW - 1 if sure else 0, 0.0
         self.restart(0.0)
 
     def restart(self, t: float) -> None:
@@ -434,9 +435,11 @@ class Pace:
             self._quarter = t
         if self._taken < _STEPS:
             return False
-        stalled = t - self._mark < self._least
-        before, last = self._quarter - self._half, t - self._quarter
-        steady = _SLOWER * before <= last <= _FASTER * before
+        hundred, before = t - self._mark, self._quarter - self._half
+        stalled = hundred < self._least
+        pairs = (before, t - self._quarter), (self._hundred, hundred)
+        steady = any(_SLOWER * x <= y <= _FASTER * x for x, y in pairs)
+        self._hundred = hundred
         h = (t - self._half) / (_STEPS / 2)
         many = steady and not stalled and self._t_end - t > self._many * h
         self._foretold = self._foretold + 1 if many else 0
