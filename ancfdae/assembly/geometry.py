@@ -150,7 +150,12 @@ class Reference:
             X = self._unturned(body)
             kind = np.result_type(X, numbers, self._lengths)
             X = X.astype(kind) @ rotation(turn, body.dimension).T
-            place = self._attached(body, known) if place is None else place
+            point = body.attached
+            if place is None and point is not None:  # A point of a body that is placed already.
+                vector = self._naming.vector(point, Quantity.POSITION)
+                first = self._naming.layout.body(point.beam).first_vector
+                place = vector.weights @ known[point.beam][vector.vectors - first]
+            assert place is not None
             X = X.astype(np.result_type(X, place), copy=False)
             X[self._positions(body)] += place
             known[body.name] = X
@@ -166,18 +171,6 @@ class Reference:
         X[1:, 0] = np.cumsum(lengths[:, None] * shape.chords, axis=0)
         X[:, 1:] = shape.slopes[:, : n_s - 1]
         return self._of(X, body)
-
-    def _attached(self, body: BeamBody | RigidBody, known: dict[str, Array]) -> Array:
-        """Return the position, (d,), of the point that a body is attached to.
-
-        `known` holds the vectors of bodies that are placed already.
-        """
-        point = body.attached
-        assert point is not None
-        vector = self._naming.vector(point, Quantity.POSITION)
-        other = known[point.beam]
-        first = self._naming.layout.body(point.beam).first_vector
-        return vector.weights @ other[vector.vectors - first]
 
     def _placed(self, body: BeamBody | RigidBody) -> tuple[Array, Array]:
         """Return a body's numbers from its placement on, and their design derivatives."""

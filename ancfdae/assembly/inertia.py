@@ -21,7 +21,7 @@ Phi_q^T lam - Q has the additional term M c, which is linear in v and affine in 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, NamedTuple, TypeAlias, final
@@ -350,10 +350,12 @@ class Inertia:
 
     def quadratic_b(self, v: Array, owner: int | None) -> Array:
         """Return the design partial of v^T M v of one owner or of the scene, shape (k, n_b)."""
-        result = np.zeros((len(v), self._n_b), dtype=v.dtype)
-        for block, products in self._pair_products(v, v):
-            chosen = products * block.chosen(owner)[block.partials.block]
-            np.add.at(result.T, block.partials.variable, chosen.T)
+        result, V = np.zeros((len(v), self._n_b), dtype=v.dtype), v.reshape(len(v), -1, self._d)
+        for block in self._blocks:
+            of = block.partials
+            V_p = V[:, block.vectors[of.block]]
+            products = np.einsum("kpad,pab,kpbd->kp", V_p, of.m_b, V_p, optimize=True)
+            np.add.at(result.T, of.variable, (products * block.chosen(owner)[of.block]).T)
         return result
 
     def owner_times(self, v: Array, owner: int) -> Array:
@@ -366,16 +368,6 @@ class Inertia:
             products = np.einsum("nab,knbd->nakd", block.m[chosen], X[:, block.vectors[chosen]])
             np.add.at(result, block.vectors[chosen], products)
         return result.swapaxes(0, 1).reshape(v.shape)
-
-    def _pair_products(self, a: Array, x: Array) -> Iterator[tuple[MassBlocks, Array]]:
-        """Yield each group of mass blocks with x^T M_b a for its pairs, shape (k, n_pairs)."""
-        A, X = (y.reshape(len(y), -1, self._d) for y in (a, x))
-        for block in self._blocks:
-            at, m_b = block.vectors[block.partials.block], block.partials.m_b
-            yield (
-                block,
-                np.einsum("kpad,pab,kpbd->kp", X[:, at], m_b, A[:, at], optimize=True),
-            )
 
 
 @final

@@ -116,17 +116,13 @@ _OTHER = 2.0**-20
 _SAME = 1e-9
 
 
-def formula_lists(item: JointInput) -> tuple[OperationList, ...]:
-    """Return the operation lists of the equations of a `FormulaJoint` and their derivatives."""
-    assert isinstance(item.joint, FormulaJoint)
-    return _Trace(item.joint, item).lists()
-
-
 @final
-class _Trace:
+class FormulaTrace:
     """Recorder of the equations of one joint as operations; inputs are U, z, rates, and lam."""
 
-    def __init__(self, joint: FormulaJoint, item: JointInput) -> None:
+    def __init__(self, item: JointInput) -> None:
+        joint = item.joint
+        assert isinstance(joint, FormulaJoint)
         self._joint, self._item, self._n_u = joint, item, item.reference.size
         self._size, self._rows = (
             self._n_u + item.input_count,

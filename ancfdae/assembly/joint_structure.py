@@ -14,7 +14,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ancfdae.assembly.joint_input import JointInput, formula_lists
+from ancfdae.assembly.joint_input import FormulaTrace, JointInput
 from ancfdae.assembly.layout import JointLayout
 from ancfdae.assembly.naming import Vectors
 from ancfdae.kernels import ConstraintPlan, OperationList
@@ -96,7 +96,7 @@ class JointStructure:
                 c, count = item.structure(), item.input_count
                 linear, products = np.nonzero(c.linear), np.nonzero(np.triu(c.bilinear))
                 entries = len(item.reference), len(linear[0]), len(products[0]), len(c.offset)
-                lists = formula_lists(item) if count else ()
+                lists = FormulaTrace(item).lists() if count else ()
                 shape = _Shape(linear, products, lists, (*entries, len(item.parts) - 1, count))
             shapes.append(shape)
             known[item.kind] = shape

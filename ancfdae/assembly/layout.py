@@ -207,10 +207,6 @@ class Layout:
         """Return the coordinate of the sliding joint `name`; UnknownNameError if it is missing."""
         return named("sliding joint", name, self.sliders)
 
-    def own_states(self, name: str) -> StatesLayout:
-        """Return the states of a joint or controller; UnknownNameError if there are none."""
-        return named("joint or controller with states", name, (*self.sliders, *self.controllers))
-
     def plain(self) -> dict[str, Any]:
         """Return the layout as data for JSON, with the names of elements."""
         named = [replace(beam, element=beam.element.name) for beam in self.beams]  # type: ignore[arg-type]

@@ -17,7 +17,7 @@ import numpy as np
 from ancfdae.assembly.layout import BeamLayout, BodyLayout, Layout
 from ancfdae.assembly.rigid_motions import motions_in_words
 from ancfdae.equations.naming import Naming
-from ancfdae.errors.checks import require_index
+from ancfdae.errors.checks import named, require_index
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import MaterialPoint, Quantity, require_point
 from ancfdae.model.parts import CentreLine, FrameDirection, LineVector, Normal, StateVector
@@ -223,7 +223,9 @@ class SceneNaming(Naming):
 
     def state(self, owner: str, number: int) -> PointVector:
         """Return the vector of a state of a controller or joint, counted from 0."""
-        at = np.array([self.layout.own_states(owner).first_vector + number])
+        with_states = (*self.layout.sliders, *self.layout.controllers)
+        states = named("joint or controller with states", owner, with_states)
+        at = np.array([states.first_vector + number])
         return PointVector(at, np.ones(1), np.zeros((1, self.lengths_b.shape[1])))
 
     def _of_body(

@@ -119,21 +119,23 @@ class Scene(SceneDesign):
         beams = listed(f"{beam.name} ({beam.element_count} elements)" for beam in self.beams)
         kinds = (self.bodies, self.joints, self.loads)
         bodies, joints, loads = (listed(part.name for part in x) for x in kinds)
-        where = "plane" if self.dimension == 2 else "space"
-        return (
-            f"Scene in the {where}\nbeams: {beams}\nbodies: {bodies}\n"
-            f"joints: {joints}\nloads: {loads}\n"
-            f"gravity: {'none' if self.gravity is None else tuple(self.gravity)}"
-            + ("" if self.frame is None else f"\nin a {self.frame}")
-            + ("" if not self.left_out else f"\nequations left out: {listed(self._left_out())}")
-        )
-
-    def _left_out(self) -> list[str]:
-        """Return the joint equations left out as text, one per joint: ``hinge (3, 4)``."""
-        rows: dict[str, list[str]] = {}
-        for name, row in self.left_out:
-            rows.setdefault(name, []).append(str(row))
-        return [f"{name} ({', '.join(numbers)})" for name, numbers in rows.items()]
+        lines = [
+            f"Scene in the {'plane' if self.dimension == 2 else 'space'}",
+            f"beams: {beams}",
+            f"bodies: {bodies}",
+            f"joints: {joints}",
+            f"loads: {loads}",
+            f"gravity: {'none' if self.gravity is None else tuple(self.gravity)}",
+        ]
+        if self.frame is not None:
+            lines.append(f"in a {self.frame}")
+        if self.left_out:  # One text for each joint: ``hinge (3, 4)``.
+            rows: dict[str, list[str]] = {}
+            for name, row in self.left_out:
+                rows.setdefault(name, []).append(str(row))
+            joined = (f"{name} ({', '.join(numbers)})" for name, numbers in rows.items())
+            lines.append(f"equations left out: {listed(joined)}")
+        return "\n".join(lines)
 
     def at_rest(self) -> Scene | None:
         """Return the scene whose equilibrium is the start of the motion; None without one."""

@@ -58,7 +58,9 @@ def little_fill(pattern: SparsityPattern, constraint_pattern: SparsityPattern) -
 
     SuperLU computes it when it factorises a diagonally dominant matrix of this pattern.
     """
-    graph = _graph(pattern, constraint_pattern).astype(float)
+    # The pattern of K + B^T B.
+    K, B = (each.csr(np.ones(each.size, dtype=bool)) for each in (pattern, constraint_pattern))
+    graph = ((K + B.T @ B).tocsr() if B.nnz else K).astype(float)
     # Diagonal pivots need no exchange.
     diagonal = scipy.sparse.diags_array(1.0 + graph.sum(axis=1))
     made_up = (diagonal - 0.5 * graph).tocsc()
@@ -67,12 +69,6 @@ def little_fill(pattern: SparsityPattern, constraint_pattern: SparsityPattern) -
         made_up, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric
     )
     return _with_multipliers(np.argsort(lu.perm_c), constraint_pattern)
-
-
-def _graph(pattern: SparsityPattern, constraint_pattern: SparsityPattern) -> scipy.sparse.csr_array:
-    """Return the pattern of K + B^T B as a sparse matrix of logical values."""
-    K, B = (each.csr(np.ones(each.size, dtype=bool)) for each in (pattern, constraint_pattern))
-    return (K + B.T @ B).tocsr() if B.nnz else K
 
 
 def _with_multipliers(order: Array, constraint_pattern: SparsityPattern) -> Array:

@@ -248,13 +248,6 @@ def motion_size(
     return norm(a, system.weights, reactions, inverse, Q, inverse)
 
 
-def share_of_defect(system: MechanicalSystem, c: Coefficients, q: Array, motion: float) -> float:
-    """Return chi: 1, or less where Phi_n is round-off that would disturb a step of size h."""
-    noise = _EPS * norm(q, system.weights)
-    allowed = QUIET * motion * c.beta * c.h**2
-    return 1.0 if noise <= allowed else allowed / noise
-
-
 def small_from(system: MechanicalSystem, run: Solution, alpha: float) -> float:
     """Return the number of equal steps of a run above which half of the steps would be small.
 
@@ -296,7 +289,9 @@ class ConstraintRow:
         motion = motion_size(system, 1 / system.weights, before.A, *forces)
         if floor <= unit * motion:
             return None
-        chi = share_of_defect(system, c, q, motion)
+        # chi: 1, or less where Phi_n is round-off that would disturb the step.
+        noise, allowed = floor, QUIET * motion * c.beta * c.h**2
+        chi = 1.0 if noise <= allowed else allowed / noise
         dq = predict_increment(c, before.v, before.a)[0] + (c.beta * c.h**2) * after.a
         G, g = chi * system.constraint_q(t, q), chi * system.constraint_total(t, (q,))
         for place, weight in zip(PLACES, WEIGHTS, strict=True):

@@ -509,7 +509,15 @@ class Frames:
         axis = Axis.of(d, xi)
         slopes = np.stack([c @ Y for c in axis.c[1:]], axis=-1)
         rest = np.stack([axis.a @ Y, *(b @ Y for b in axis.b[1:])], axis=-1)
-        axes = _section_axes(slopes)
+        # The axes of the section as rows: normal, r_y over its length, and in space the direction
+        # perpendicular to both. Shear factors, and C without Poisson's effect, refer to these.
+        r_y = slopes[..., 0] / np.sqrt(np.sum(slopes[..., 0] ** 2, axis=-1, keepdims=True))
+        if d == 2:
+            axes = np.stack([np.stack([r_y[..., 1], -r_y[..., 0]], axis=-1), r_y], axis=-2)
+        else:
+            normal = np.cross(r_y, slopes[..., 1])
+            normal = normal / np.sqrt(np.sum(normal**2, axis=-1, keepdims=True))
+            axes = np.stack([normal, r_y, np.cross(normal, r_y)], axis=-2)
         J_s, along = (axes @ slopes)[..., 1:, :], np.swapaxes(axes @ rest, -1, -2)
         return cls(False, along[..., 0], along[..., 1:], np.linalg.inv(J_s), np.linalg.det(J_s))
 
@@ -592,18 +600,3 @@ class Frames:
     def _ones(offsets: Array, m: int) -> Array:
         """Return 1, y and z of the fibres of sections as rows, shape (n, 1, n_f, d)."""
         return np.concatenate([np.ones_like(offsets[..., :1]), offsets[..., :m]], axis=-1)[:, None]
-
-
-def _section_axes(slopes: Array) -> Array:
-    """Return the axes of the section as rows, from its slopes as columns, (..., d, d - 1).
-
-    They are the normal, r_y over its length, and in space the direction perpendicular to both.
-    Shear factors, and C without Poisson's effect, refer to these axes.
-    """
-    r_y = slopes[..., 0] / np.sqrt(np.sum(slopes[..., 0] ** 2, axis=-1, keepdims=True))
-    if slopes.shape[-2] == 2:
-        normal = np.stack([r_y[..., 1], -r_y[..., 0]], axis=-1)
-        return np.stack([normal, r_y], axis=-2)
-    normal = np.cross(r_y, slopes[..., 1])
-    normal = normal / np.sqrt(np.sum(normal**2, axis=-1, keepdims=True))
-    return np.stack([normal, r_y, np.cross(normal, r_y)], axis=-2)
