@@ -508,6 +508,10 @@ class ListedSystem(MechanicalSystem):
     def list_plan(self) -> ListPlan:
         """Operation lists with which a kernel evaluates the equations of motion in a time step."""
 
+    @abc.abstractmethod
+    def constraint_partials(self, t: Array, *motion: Array) -> Array:
+        """Return the design derivatives of `constraint` at k times, shape (k, n_lam, n_b)."""
+
 
 def require_no_controllers(where: str, system: MechanicalSystem, repair: str) -> None:
     """Raise InvalidInputError if the system has controllers with states."""

@@ -35,7 +35,7 @@ from typing import NamedTuple, TypeAlias, final
 
 import numpy as np
 
-from ancfdae.equations import Linearisation, MechanicalSystem
+from ancfdae.equations import Linearisation, ListedSystem, MechanicalSystem
 from ancfdae.equations.saddle_points import Prepared
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.kinds import SingularMatrix
@@ -182,9 +182,10 @@ class Completion:
         held = system.design_partials(t, q, None, *self.moved).f_b
         sides = np.zeros((2, len(t), system.n_lam, system.n_b))
         if self.rates is not None:
-            for k, s in enumerate(t.tolist()):
-                sides[0, k] = system.constraint_total(s, (q[k], v[k]))
-                sides[1, k] = system.constraint_total(s, (q[k], v[k], a[k]))
+            sides[:] = (
+                _constraint_partials(system, t, q, v),
+                _constraint_partials(system, t, q, v, a),
+            )
         return held, system.design_partials(t, q, v, a, lam).f_b, sides
 
     def pull_back(self, m: Array, z: Array, w: Array, y: Array) -> Array:
@@ -195,11 +196,20 @@ class Completion:
         if w.any():
             total = total + system.pull_back(t, self.states, (w, none))
         if self.rates is not None:
-            for k, s in enumerate(t.tolist()):
-                total = total + z[k] @ system.constraint_total(s, (q[k], v[k]))
-                if y[k].any():
-                    total = total + y[k] @ system.constraint_total(s, (q[k], v[k], a[k]))
+            total = total + np.einsum("ki,kib", z, _constraint_partials(system, t, q, v))
+            some = y.any(axis=1)
+            at = t[some], q[some], v[some], a[some]
+            total = total + np.einsum("ki,kib", y[some], _constraint_partials(system, *at))
         return -total
+
+
+def _constraint_partials(system: MechanicalSystem, t: Array, *motion: Array) -> Array:
+    """Return design derivatives of a rate of Phi at k fixed states, shape (k, n_lam, n_b)."""
+    if isinstance(system, ListedSystem):
+        return system.constraint_partials(t, *motion)
+    states = zip(t.tolist(), zip(*motion, strict=True), strict=True)
+    rows = [system.constraint_total(s, state) for s, state in states]
+    return np.reshape(rows, (len(t), system.n_lam, system.n_b))
 
 
 @final
