@@ -184,9 +184,9 @@ struct StepTolerance {
     const double *least;
 };
 
-/* e of a defect against the tolerance: both are told for each coordinate, the size of a vector is the
- * larger one before and behind the step, counted from a place (nullptr for the origin), and round-off
- * `blur` is allowed beside. NaN where a state is not finite. */
+/* e of a defect against a tolerance, beside which the round-off `blur` is allowed; both are functions of
+ * the coordinate. The size of a vector is the larger one before and after the step, counted from a place
+ * (nullptr for the origin). NaN if a state is not finite. */
 template <class T, class F, class G>
 double error_against(const StepTolerance &tolerance, const T *before, const T *after,
                      const double *place, F defect, G blur)
@@ -213,10 +213,10 @@ double error_against(const StepTolerance &tolerance, const T *before, const T *a
 /* The larger error; NaN, which no step passes, if one is. */
 double larger_error(double x, double y) { return x > y || std::isnan(x) ? x : y; }
 
-/* Steps of a method in one go: under error control by a filter, or known ones without it. `n` counts
- * steps of the run, `last` is the size of the step before. What is known of each accepted step stands in
- * rows: ends and, under control, numbers of the filter. Errors `along` those of the motion are told by a
- * function, which may refuse. */
+/* Steps of a method in one call, under error control by a filter, or of known sizes without it. `n` counts
+ * the steps of the run, `last` is the size of the step before. Accepted steps have rows: end times and,
+ * under control, numbers of the filter. `along` writes a further error of a step, as of its derivatives;
+ * false if it has raised an error of Python. */
 struct StepRun {
     StepFilter *filter;
     Size n_stops, n, most;

@@ -410,9 +410,10 @@ template <class T> struct CalledLaws final : StepLaws<T> {
     }
 };
 
-/* Take what a `Controller` tells: (numbers of a filter, stops), the first empty for known steps, and (n,
- * t, size of the step before), with rows (ends, numbers of filters). */
-void take_control(StepRun *c, Items &control, Items &beside, const std::tuple<Size, double, double> &at)
+/* Take the control of a run from (numbers of a filter, stops), the first one empty for known steps, with
+ * (n, t, size of the step before) and rows (ends, numbers of filters). */
+void take_control(StepRun *c, Items &control, Items &beside,
+                  const std::tuple<Size, double, double> &at)
 {
     Size k, numbers = sizeof(StepFilter) / sizeof(double);
     double *filters;
@@ -424,8 +425,7 @@ void take_control(StepRun *c, Items &control, Items &beside, const std::tuple<Si
     std::tie(c->n, c->t, c->last) = at;
 }
 
-/* Errors of derivatives that a function of Python tells of (h, end) of the step that stands behind those
- * taken. */
+/* A function of Python that returns the error of derivatives of a step, of (h, end). */
 std::function<bool(double, double, double *)> errors_of(const Ref &function)
 {
     if (function.get() == Py_None)
@@ -443,9 +443,10 @@ std::function<bool(double, double, double *)> errors_of(const Ref &function)
  * correction. `at` holds n, t, and the size of the step that led there. */
 template <class T, class M>
 std::tuple<Size, int, Size, Counts, double>
-py_march_controlled(Kept<M> model, Fields<5> state, std::tuple<Size, double, double> at, double motion,
-                    Fields<2> control, Fields<4> tolerance, std::tuple<Ref, double> laws, Ref along,
-                    Fields<4> rows, Fields<2> of_steps, Fields<2> beside, std::tuple<double, Size, double> limits)
+py_march_controlled(Kept<M> model, Fields<5> state, std::tuple<Size, double, double> at,
+                    double motion, Fields<2> control, Fields<4> tolerance, std::tuple<Ref, double> laws, Ref along,
+                    Fields<4> rows, Fields<2> of_steps, Fields<2> beside,
+                    std::tuple<double, Size, double> limits)
 {
     const Plan<T> *p = &model->plan;
     Room<T> *r = &model->room;
@@ -622,8 +623,8 @@ template <class T, class M>
 std::tuple<Size, int, Size, Size, Counts, double, double>
 py_march_stages(Kept<M> model, Kept<CoupledMatrix> coupled, Fields<4> before,
                 std::tuple<Size, double, double> at, Fields<4> control, Ref tolerance,
-                std::tuple<Ref, double> laws, Ref along, Fields<5> rows, Fields<2> of_steps, Fields<2> settings,
-                double seconds)
+                std::tuple<Ref, double> laws, Ref along, Fields<5> rows, Fields<2> of_steps,
+                Fields<2> settings, double seconds)
 {
     const Plan<T> *p = &model->plan;
     Size n_q = p->n_q, n_lam = p->n_lam, n = STAGES * (n_q + n_lam), n_B = p->constraints->n_values;
@@ -684,8 +685,8 @@ int py_embedded_errors(Kept<Model> model, double h, Fields<4> state, Fields<2> f
     memcpy(&tableau, numbers.data, sizeof tableau);
     return unlocked([&] {
         StepCoefficients of = of_embedded(&tableau, h);
-        memcpy(r->q, q, (size_t)n_q * sizeof(double)), memcpy(r->v, v, (size_t)n_q * sizeof(double));
-        memcpy(r->A, a, (size_t)n_q * sizeof(double)), memcpy(r->lam, lam, (size_t)n_lam * sizeof(double));
+        std::copy(q, q + n_q, r->q), std::copy(v, v + n_q, r->v);
+        std::copy(a, a + n_q, r->A), std::copy(lam, lam + n_lam, r->lam);
         at_instant<double>(p, r, of_joints, 0, 0, r->c);
         jacobian_at<double>(p, r, r->c, q);
         r->exchanging = 0;

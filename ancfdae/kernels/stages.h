@@ -241,7 +241,7 @@ template <class T> double stages_changed(StageStep<T> *s)
     return sqrt(of_a + of_lam);
 }
 
-/* Newton's method: 0, or how steps end; `size` is that of the last correction, relative to the motion. */
+/* Newton's method: 0, or how steps end. `size` is the last correction relative to the motion. */
 template <class T> int stages_iterated(StageStep<T> *s)
 {
     const StageRules *rules = s->rules;
@@ -430,7 +430,7 @@ template <class T> int stage_mass_known(StageRun<T> *c, int i)
     auto [p, r, loads] = real_state(of, c->step.room, c->step.of_loads + i * of->n_factors);
     Size n_B = p->constraints->n_values, n_M = p->own ? p->nnz : 0;
     double *M = c->factored + n_B;
-    if (p->own && (const void *)r != (const void *)c->step.room)
+    if (p->own && PARTS<T> > 1)
         mass_at<double>(p, r, r->q);
     auto same = [](Size n, const double *x, const double *y) { return std::equal(x, x + n, y); };
     if (c->known && same(n_B, r->B, c->factored) && same(n_M, p->K.values, M)) {
@@ -446,7 +446,8 @@ template <class T> int stage_mass_known(StageRun<T> *c, int i)
 
 /* x = [M Phi_q^T; Phi_q 0]^-1 (force, side) with M and Phi_q as they stand. The factors are real: the
  * imaginary part of complex matrices is corrected for. */
-template <class T> int mass_corrected(const Plan<T> *p, Room<T> *r, const T *force, const T *side, T *x)
+template <class T>
+int mass_corrected(const Plan<T> *p, Room<T> *r, const T *force, const T *side, T *x)
 {
     const Plan<double> *real = real_plan(p);
     Room<double> *in_real = real_room(p, r);
@@ -458,7 +459,8 @@ template <class T> int mass_corrected(const Plan<T> *p, Room<T> *r, const T *for
         std::copy(side, side + p->n_lam, r->R + n_q);
         if (times) {
             csr_alone<T>(n_q, p->M.first, p->M.columns, p->M.values, x, -1, r->R);
-            csr_rows_transposed<T>(p->n_lam, p->B.first, p->B.columns, r->B, 1, x + n_q, -1, n_q, r->R);
+            csr_rows_transposed<T>(p->n_lam, p->B.first, p->B.columns, r->B, 1, x + n_q, -1, n_q,
+                                   r->R);
             csr_alone<T>(p->n_lam, p->B.first, p->B.columns, r->B, x, -1, r->R + n_q);
         }
         parted<T>(n, r->R, right);
@@ -515,7 +517,8 @@ int embedded_error(const Plan<double> *p, Room<double> *r, const StageTableau *o
                    double *dq, double *dv)
 {
     Size n_q = p->n_q, n_lam = p->n_lam;
-    double k = of->gamma / h, *right = r->columns, *found = right + n_q + n_lam, *r_q = r->v_p, *r_v = r->ahead;
+    double k = of->gamma / h, *right = r->columns, *found = right + n_q + n_lam;
+    double *r_q = r->v_p, *r_v = r->ahead;
     double *of_q = r->q_p, *of_v = r->dq_p; /* what joints prescribe, across the free directions */
     StepCoefficients coefficients = of_embedded(of, h);
     auto solved = [&] {
@@ -524,7 +527,8 @@ int embedded_error(const Plan<double> *p, Room<double> *r, const StageTableau *o
     for (Size e = 0; e < n_q; e++) {
         double sum = 0, turned = 0, rise = 0;
         for (int i = 0; i < STAGES; i++) {
-            sum += of->embedded[i] * x[i][e], rise += of->embedded[i] * ((v[i + 1][e] - v[0][e]) / h);
+            sum += of->embedded[i] * x[i][e];
+            rise += of->embedded[i] * ((v[i + 1][e] - v[0][e]) / h);
             for (int j = 0; j < STAGES; j++)
                 turned += of->embedded[j] * of->inverse[j][i] * x[i][e];
         }
@@ -546,7 +550,8 @@ int embedded_error(const Plan<double> *p, Room<double> *r, const StageTableau *o
     }
     for (double *to : {dq, dv}) {
         memset(right, 0, (size_t)(n_q + n_lam) * sizeof(double));
-        csr_alone<double>(n_lam, p->B.first, p->B.columns, r->B, to == dq ? of_q : of_v, 1 / k, right + n_q);
+        csr_alone<double>(n_lam, p->B.first, p->B.columns, r->B, to == dq ? of_q : of_v, 1 / k,
+                          right + n_q);
         int failed = solved();
         if (failed)
             return failed;
@@ -574,15 +579,17 @@ template <class T> int stages_judged(StageRun<T> *c, double h, double *error)
     c->known = false, c->counts[1]++, in_real->exchanging = 0;
     int failed = factorised(p, in_real, &of, loads);
     double *rows = c->reals, *delta[2] = {rows + 8 * n_q, rows + 9 * n_q};
-    const T *from[8] = {s->v, c->rows[1] + (at - 1) * n_q, c->rows[1] + at * n_q, c->rows[1] + (at + 1) * n_q,
-                        s->a, s->x, s->x + n_q, s->x + 2 * n_q};
+    const T *V = c->rows[1] + at * n_q, *x_of = s->x;
+    const T *from[8] = {s->v, V - n_q, V, V + n_q, s->a, x_of, x_of + n_q, x_of + 2 * n_q};
     const double *x[8];
     for (int i = 0; i < 8; i++) {
         for (Size e = 0; e < n_q; e++)
             rows[i * n_q + e] = real_part(from[i][e]);
         x[i] = rows + i * n_q;
     }
-    if (failed || (failed = embedded_error(p, in_real, s->tableau, h, x, x[4], x + 5, delta[0], delta[1])))
+    if (!failed)
+        failed = embedded_error(p, in_real, s->tableau, h, x, x[4], x + 5, delta[0], delta[1]);
+    if (failed)
         return failed;
     *error = c->tables.turn;
     const T *old[2] = {s->q, s->v}, *end = c->rows[0] + (at + 1) * n_q;

@@ -1,6 +1,6 @@
 """Steps of Radau IIA: coefficients, equations of the stages, and the solver in the kernel.
 
-Coefficients are those of Hairer & Wanner, Solving ODEs II, IV.5 and IV.8. With h^2 x the
+Coefficients: Hairer & Wanner, Solving ODEs II, IV.5 and IV.8. With h^2 x the
 displacements of the stages from the motion at constant velocity,
 
     Q = q_0 + h c v_0 + h^2 x,     V = v_0 + h A^-1 x,     Q'' = A^-2 x,

@@ -219,8 +219,8 @@ class Batch(NamedTuple):
     """Steps under error control of one call of a kernel: times of all their states, end times.
 
     `filters` are `Controller.numbers` after each step, and `states` returns the state after the
-    first k steps. `end` is the reason for the end of the call, and `size` that of the last
-    correction.
+    first k steps. `end` is the reason for the end of the call, and `size` the size of the
+    last correction.
     """
 
     t: Array
