@@ -126,7 +126,7 @@ Size step_judged(StepFilter *f, Size n, double t, double h, bool solved, double 
     return n + 1;
 }
 
-/* How steps end: with all of them, or before one that needs factors at Gauss points, whose matrix is
+/* How steps end: after the last one, or before one that needs factors at Gauss points, whose matrix is
  * indefinite and needs a band, that no time is left for, or that is not solved: since Newton's method
  * does not converge, a residual is not finite, or a matrix is singular. Under error control also
  * before one whose error is too large however short it is, where the step before the first one is to

@@ -202,7 +202,7 @@ class StageSolver:
         control : Control
             The kernel changes the numbers of the filter.
         most : int
-            Largest number of steps; all of them if they are known.
+            Largest number of steps; their number if they are known.
         tolerance : tuple, optional
             rtol and atol Q_i of positions, the same of velocities, place and scale of positions,
             and length of the system's vectors.
