@@ -442,6 +442,30 @@ def test_the_error_of_derivatives_is_relative_to_their_own_sizes(atol):
     assert max(parts) in parts[1::2]  # Derivatives decide here.
 
 
+def test_round_off_is_allowed_beside_the_tolerance():
+    """The round-off of positions, eps (|q| + Q), and of velocities, the same over h, is allowed.
+
+    The scale Q is made so large that this decides.
+    """
+    system, t_end, h = CartesianPendulum(-1.0, 2.0), 2.0, 0.1
+    problem, steps = InitialValueProblem.of(system, t_end), AdaptiveSteps(1e-7)
+    stepper = Radau(steps)._stepper(problem, t_end, np.zeros(0), SolutionRecorder(system, 9, 3))
+    *bounds, _, d = stepper._bounds
+    stepper.__dict__["_bounds"] = *bounds, np.full(system.n_q, 1e10), d
+    step, none, begin = np.array([h]), np.zeros(0), Reached(0, 0.0, h, stepper.start(h))
+    found, e = stepper._controlled(begin, Control(none, none, step, step), 1)
+    t, q, v, a, lam = found.states(1).rows
+    x, middle = (q[1:] - q[0] - h * PLACES * v[0]) / h**2, (t[2], q[2], v[2], a[2], lam[2])
+    defects = DenseRadau(system, t_end, 1e-7, None).defects(h, middle, v, a[0], x)
+    share, eps, parts = 0.05 * 1e-7**0.8, np.finfo(float).eps, []
+    for k, (states, scale) in enumerate(((q, problem.scales.q), (v, problem.scales.v))):
+        size = np.maximum(*np.abs(states[[0, -1]] - (problem.scales.place if k == 0 else 0.0)))
+        blur = eps * (np.abs(q[-1]) + 1e10) / h**k
+        parts.append(np.sqrt(np.mean((defects[k] / (share * (size + scale) + blur)) ** 2)))
+        assert np.min(blur) > 10 * np.max(share * (size + scale))
+    assert e == pytest.approx(max(parts), rel=1e-6)
+
+
 def test_frozen_steps_repeat_a_controlled_run():
     system, integrator = CartesianPendulum(-1.0, 2.0), Radau(rtol=1e-4)
     run = simulate(system, 1.0, integrator)
