@@ -234,7 +234,8 @@ class JointConstraints:
         return JointFactors(self.structure.slots)
 
     @cached_property
-    def _partials(self) -> JointPartials:
+    def partials(self) -> JointPartials:
+        """Design partials of the joints."""
         return JointPartials(self.structure, self.factors, self.n_b)
 
     @property
@@ -253,7 +254,7 @@ class JointConstraints:
     @property
     def active(self) -> list[int]:
         """Design variables that constraints depend on at fixed q."""
-        return self._partials.active
+        return self.partials.active
 
     @property
     def constant(self) -> bool:
@@ -364,7 +365,7 @@ class JointConstraints:
         on_q = self.plan.evaluate(Constraints.FORCE, factors, lam, *at_rest)
         factors_b = self.factors.partials(t, 2, self.n_b)
         rows = self.plan.totals(
-            self._partials.arrays, factors, factors_b, None, None, at_rest, None
+            self.partials.arrays, factors, factors_b, None, None, at_rest, None
         )
         return on_q, self._by_time(q, t), np.einsum("kbn,kn->kb", rows, lam)
 
@@ -413,7 +414,7 @@ class JointConstraints:
             return np.zeros(self.n_b)
         factors = self.factors.over(t, len(motion))
         on_l, on_c = self.plan.gradient(factors, weights, *motion)
-        return self._partials.contract(on_l.imag / STEP, on_c.imag / STEP, t)
+        return self.partials.contract(on_l.imag / STEP, on_c.imag / STEP, t)
 
     def total(
         self,
@@ -449,6 +450,6 @@ class JointConstraints:
         factors = self.factors.spread(t, orders)
         factors_b = self.factors.partials(t, orders, self.n_b)
         total = self.plan.totals(
-            self._partials.arrays, factors, factors_b, lam, lam_b, motion, motion_b
+            self.partials.arrays, factors, factors_b, lam, lam_b, motion, motion_b
         )
         return np.swapaxes(total, 1, 2)

@@ -29,12 +29,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Self, TypeAlias, final
 
 import numpy as np
 
-from ancfdae.equations import ListedSystem, MechanicalSystem, reaction
+from ancfdae.equations import ListedSystem, MechanicalSystem, PlannedSystem, reaction
+from ancfdae.equations.plans import Plan
 from ancfdae.equations.saddle_points import acceleration_side, held_totals, saddle_point
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.checks import require_positive
@@ -45,7 +46,15 @@ from ancfdae.integrators.start import (
     consistent_start,
     start_sensitivity,
 )
-from ancfdae.kernels import SINGULAR, ListAccelerations, finite, norm
+from ancfdae.kernels import (
+    RULES,
+    SINGULAR,
+    ListAccelerations,
+    Model,
+    SceneAccelerations,
+    finite,
+    norm,
+)
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 
@@ -186,8 +195,8 @@ class Accelerations:
         found = told(lambda t, state: self.rows(t, *state))
         return found, told(self.projected)
 
-    def count(self, evaluations: int, projections: int) -> None:
-        """Count a kernel's evaluations; here nothing, as the functions it calls count."""
+    def count(self) -> None:
+        """Count the factorisations of a kernel; here nothing, as the functions it calls count."""
 
     @property
     def weights(self) -> Array:
@@ -201,15 +210,23 @@ class Accelerations:
 
 
 @final
-class ListedAccelerations(Accelerations):
-    """Accelerations and multipliers of a system whose lists of operations a kernel evaluates."""
+class CompiledAccelerations(Accelerations):
+    """Accelerations and multipliers of a scene, or of lists of operations, by a kernel.
+
+    `make` returns the equations of the kernel, with design derivatives or without.
+    """
 
     steps_at_once = 64
 
-    def __init__(self, system: ListedSystem, matrices: SaddlePoint) -> None:
+    def __init__(
+        self,
+        system: MechanicalSystem,
+        matrices: SaddlePoint,
+        make: Callable[[bool], ListAccelerations | SceneAccelerations],
+    ) -> None:
         super().__init__(system, matrices)
-        self._lists, self._others = system.index_1, (system.b, matrices.scale)
-        self._made: dict[bool, ListAccelerations] = {}
+        self._make = make
+        self._made: dict[bool, ListAccelerations | SceneAccelerations] = {}
 
     def rows(self, t: float, q: Array, v: Array) -> Array:
         """Return a row (a, lam), (n_q + n_lam,), above a row of derivatives per variable."""
@@ -218,7 +235,7 @@ class ListedAccelerations(Accelerations):
     def rows_of(self, t: Array, states: Array) -> Array:
         """Return `rows` of k states, (k, 2, rows, n_q), as (k, rows, n_q + n_lam)."""
         found = self.for_kernel(states.shape[2]).at(False, t, states)
-        return self._found(found, t, states, self._matrices.size)
+        return self._found(found, states, self._matrices.size)
 
     def projected(self, t: float, rows: Array) -> Array:
         """Return a state and its derivatives, (2, rows, n_q), moved onto the constraints."""
@@ -227,33 +244,56 @@ class ListedAccelerations(Accelerations):
     def projected_of(self, t: Array, states: Array) -> Array:
         """Return k states, (k, 2, rows, n_q), moved onto the constraints."""
         found = self.for_kernel(states.shape[2]).at(True, t, states)
-        return self._found(found, t, states, states.shape[3])
+        return self._found(found, states, states.shape[3])
 
-    def _found(self, found: Array | int, t: Array, states: Array, size: int) -> Array:
+    def _found(self, found: Array | int, states: Array, size: int) -> Array:
         """Return the kernel's result, or NaN if a value is not finite; raise SingularMatrix."""
-        self.factorisations += len(t)
+        self.count()
         if not isinstance(found, int):
             return found
         if found == SINGULAR:
             raise SingularMatrix
         return np.full((*states.shape[:-1], size), np.nan)
 
-    def for_kernel(self, rows: int) -> ListAccelerations:
-        """Return operation lists for states of `rows` rows, as an `ExplicitRun` takes them."""
+    def for_kernel(self, rows: int) -> ListAccelerations | SceneAccelerations:
+        """Return the equations for states of `rows` rows, as an `ExplicitRun` takes them."""
         if (rows > 1) not in self._made:
-            self._made[rows > 1] = ListAccelerations(self._lists(rows > 1), *self._others)
+            self._made[rows > 1] = self._make(rows > 1)
         return self._made[rows > 1]
 
-    def count(self, evaluations: int, projections: int) -> None:
-        """Count the factorisations of a kernel that evaluated and projected accelerations."""
-        self.factorisations += evaluations + (projections if self._system.n_lam else 0)
+    def count(self) -> None:
+        """Count the factorisations of the kernel since the last call."""
+        self.factorisations += sum(x.factorisations() for x in self._made.values())
 
 
 def accelerations(system: MechanicalSystem, matrices: SaddlePoint) -> Accelerations:
-    """Return the solver for accelerations of a system; in the kernel for listed systems."""
+    """Return the solver for accelerations of a system, in a kernel where it can be.
+
+    Python evaluates the equations of systems that are given by functions, of scenes in a rotating
+    frame, and of systems that start at an event.
+    """
     if isinstance(system, ListedSystem):
-        return ListedAccelerations(system, matrices)
-    return Accelerations(system, matrices)
+        listed, parts = system, (system.b, matrices.scale)
+        return CompiledAccelerations(
+            system, matrices, lambda b: ListAccelerations(listed.index_1(b), *parts)
+        )
+    plan = system.plan if isinstance(system, PlannedSystem) else None
+    if not isinstance(system, PlannedSystem) or plan is None:
+        return Accelerations(system, matrices)
+    return CompiledAccelerations(system, matrices, partial(_of_scene, system, plan, matrices))
+
+
+def _of_scene(
+    system: PlannedSystem, plan: Plan, matrices: SaddlePoint, derivatives: bool
+) -> SceneAccelerations:
+    """Return the equations of a scene for a kernel, with design derivatives or without."""
+    of_mass = matrices.of_mass()
+    layout = of_mass.layout(band=True) or of_mass.layout_out_of_band()
+    model = Model(plan, layout, np.zeros(RULES), of_mass.exchanging(layout))
+    design = system.design_plan if derivatives else None
+    if not system.timed:
+        return SceneAccelerations(model, design, system.factor_table(np.zeros(1), derivatives))
+    return SceneAccelerations(model, design, partial(system.factor_table, derivatives=derivatives))
 
 
 def _by_inverse(inverse: Array, n: int) -> Solve:
@@ -383,11 +423,11 @@ class InitialValueProblem:
     def differentiated(self, for_accelerations: bool = False) -> Self:
         """Return the problem with the design derivatives of its start.
 
-        With `for_accelerations` they are computed by the kernel's lists for accelerations, if there
-        are any, which the run needs anyway.
+        With `for_accelerations` a and lam are differentiated by the kernel for accelerations, if
+        there is one, which the run needs anyway.
         """
         solver = self.accelerations if for_accelerations else None
-        rows = solver.rows if isinstance(solver, ListedAccelerations) else None
+        rows = solver.rows if isinstance(solver, CompiledAccelerations) else None
         derivative = start_sensitivity(self.system, self.matrices, self.initial, rows)
         return replace(self, derivative=derivative)
 
