@@ -364,9 +364,7 @@ class JointConstraints:
         factors, at_rest = self.factors.over(t, 2), (q, np.zeros_like(q))
         on_q = self.plan.evaluate(Constraints.FORCE, factors, lam, *at_rest)
         factors_b = self.factors.partials(t, 2, self.n_b)
-        rows = self.plan.totals(
-            self.partials.arrays, factors, factors_b, None, None, at_rest, None
-        )
+        rows = self.plan.totals(self.partials.arrays, factors, factors_b, None, None, at_rest, None)
         return on_q, self._by_time(q, t), np.einsum("kbn,kn->kb", rows, lam)
 
     def _by_time(self, q: Array, t: Array) -> Array:

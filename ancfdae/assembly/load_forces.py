@@ -347,8 +347,9 @@ class LoadForces:
             numbers = [k for k, load in enumerate(self._moving) if i in load.item.active]
             moved += [(k, i, load.plan) for k, load in zip(numbers, own._moving, strict=True)]
         flat = rows.reshape(self._n_b * self._n_q, n_timed)
-        at = np.nonzero(flat)
-        return steady, LinearMap.of(*at, flat[at], flat.shape), tuple(moved)
+        at, of = np.nonzero(flat)
+        shape = self._n_b * self._n_q, n_timed
+        return steady, LinearMap.of(at, of, flat[at, of], shape), tuple(moved)
 
     def factors_b(self, t: Array) -> Array | None:
         """Return the design partials of `factors`, shape (n_b, k, n); None if all are zero."""

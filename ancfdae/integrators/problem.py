@@ -58,10 +58,6 @@ from ancfdae.kernels import (
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 
-# Up to this size a product with the inverse takes a third of the time of a band solve (measured:
-# 106 unknowns, six columns, 6 against 27 us).
-_INVERTED_SIZE = 200
-
 # Solves the index-1 equations for rows of right sides, (..., n_q) and (..., n_lam); one of the two
 # may be None for zeros.
 Solve: TypeAlias = Callable[[Array | None, Array | None], Array]
@@ -81,7 +77,7 @@ def stacked(q: Array, v: Array, q_b: Array | None = None, v_b: Array | None = No
 
 
 class Accelerations:
-    """Solves the index-1 equations for (a, lam); reuses the factorised matrix while unchanged.
+    """Solves the index-1 equations for (a, lam) in Python; see `accelerations` for which systems.
 
     With a constant mass matrix and constant Phi_q one factorisation serves the whole run.
     """
@@ -90,8 +86,6 @@ class Accelerations:
         self._system, self._matrices = system, matrices
         self._Phi_q: Array | None = None
         self._factors: Factorization | None = None
-        self._by_inverse: Solve | None = None
-        self._constant = system.traits.constant_mass and system.traits.constant_constraints
         self.factorisations = 0
 
     def factors(self, t: float, q: Array) -> Factorization:
@@ -99,7 +93,7 @@ class Accelerations:
         Phi_q = self._system.constraint_q(t, q)
         if self._factors is None or not self._unchanged(Phi_q):
             self._factors = self._matrices.factor(self._system.mass(q), Phi_q)
-            self._Phi_q, self._by_inverse = Phi_q, None
+            self._Phi_q = Phi_q
             self.factorisations += 1
         return self._factors
 
@@ -109,16 +103,9 @@ class Accelerations:
         return Phi_q is self._Phi_q or np.array_equal(Phi_q, self._Phi_q)
 
     def _solver(self, t: float, q: Array) -> Solve:
-        """Return a function that solves at q: by the inverse matrix where a matrix occurs again."""
-        if self._by_inverse is not None and self._constant:
-            return self._by_inverse
-        before, size, n = self._factors, self._matrices.size, len(q)
-        factors = self.factors(t, q)
-        if factors is before and self._by_inverse is None and size <= _INVERTED_SIZE:
-            self._by_inverse = _by_inverse(factors.solve(np.eye(size)).T, n)
-        return self._by_inverse or (
-            lambda force, side: factors.solve(_joined(force, side, n, size).T).T
-        )
+        """Return a function that solves at q."""
+        factors, size, n = self.factors(t, q), self._matrices.size, len(q)
+        return lambda force, side: factors.solve(_joined(force, side, n, size).T).T
 
     def solve(self, t: float, q: Array, v: Array) -> tuple[Array, Array]:
         """Return accelerations a, (n_q,), and multipliers lam, (n_lam,), of a state."""
@@ -294,21 +281,6 @@ def _of_scene(
     if not system.timed:
         return SceneAccelerations(model, design, system.factor_table(np.zeros(1), derivatives))
     return SceneAccelerations(model, design, partial(system.factor_table, derivatives=derivatives))
-
-
-def _by_inverse(inverse: Array, n: int) -> Solve:
-    """Return a function that solves with `inverse`, the inverse of the transposed matrix."""
-    on_force, on_side = inverse[:n], inverse[n:]
-
-    def solve(force: Array | None, side: Array | None) -> Array:
-        if side is None:
-            assert force is not None
-            x: Array = np.dot(force, on_force)
-            return x
-        x = np.dot(side, on_side)
-        return x if force is None else x + np.dot(force, on_force)
-
-    return solve
 
 
 def _joined(force: Array | None, side: Array | None, n: int, size: int) -> Array:
