@@ -232,7 +232,7 @@ _PANELS = (1, 4, 16)
 # batch, and the most numbers that their states may hold: an evaluation of observables costs several
 # steps of a small system. Where stages are too few for an integrand, the steps of the batch are
 # repeated for their dense output, which later steps store.
-_LEAST_TOGETHER, _MOST_TOGETHER, _GROWTH, _NUMBERS = 32, 64, 4, 200_000
+_LEAST_TOGETHER, _MOST_TOGETHER, _GROWTH, _NUMBERS = 8, 64, 4, 200_000
 _NONE = np.zeros(0, dtype=np.int32)
 _VERDICTS = {
     NOT_FINITE: Verdict.NOT_FINITE,
