@@ -79,7 +79,6 @@ from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.kernels import strain
 from ancfdae.model.elements.element import (
     Batch,
-    ElementParameter,
     Quantity,
     curvature_weights,
     end_weight_xi,
@@ -126,13 +125,6 @@ def fibres(batch: Batch) -> Fibres:
     fade = 1 / (1 + ratio**2)
     sizes_of_terms = radii, 1.5 * ratio * fade, fade
     return Fibres(offsets, dA * l[:, None], factors, *sizes_of_terms, centroid, shear_centre)
-
-
-def fibres_partial(batch: Batch, which: ElementParameter) -> Fibres:
-    """Return the derivative of `fibres`, the quadrature points, in an element parameter."""
-    at, moved, step = fibres(batch), fibres(batch.moved(which)), batch.step(which)
-    names = [each.name for each in fields(Fibres)]
-    return Fibres(*(change(getattr(moved, name), getattr(at, name), step) for name in names))
 
 
 def gauss_rule(count: int) -> tuple[Array, Array]:
