@@ -234,10 +234,11 @@ class BeamPairContact(PairContact):
     ``slip_speed``.
 
     If both names are the same the beam touches itself: coils, loops, a heap. Each pair of elements
-    counts once, with the Gauss points of the first one. Elements that share a node, or between
-    which the line is shorter than a diameter, do not touch each other, which is true while the line
-    turns by less than a right angle in them: at least nine elements in a turn. InvalidInputError if
-    it does not at the start of a run; a run ends with a message where it no longer does.
+    counts once, with the Gauss points of the first one. Elements that share a
+    node do not touch each other, nor do elements between which the line is shorter than a diameter.
+    This is true while the line turns by less than a right angle in them: at least nine elements in
+    a turn. It is checked at the start of a run (InvalidInputError) and along the run, which ends
+    with a message where it fails.
 
     Parameters
     ----------
@@ -294,7 +295,7 @@ class BeamPairContact(PairContact):
         return found if len(balls) == 2 else found[found[:, 0] < found[:, 1]]
 
     def adjoining(self, places: Sequence[Array]) -> Array:
-        """Return the pairs of elements of one beam with less than a diameter between them.
+        """Return pairs of elements of one beam with less than a diameter between them, (n, 2).
 
         Neighbours are among them. Without a second beam the list is of all k <= j.
         """

@@ -68,6 +68,8 @@ _STOPS, _APART, _ALL = 12, 0.25, 1800
 _COPIES, _TIMES = 4, 65
 # Degree up to which polynomials of observables change no more suddenly than the observables.
 _LOW: Final = 4
+# Number of stages of Radau IIA.
+_STAGES: Final = 3
 # Number of chords before and after a place that belong to it.
 _WIDER: Final = 2
 
@@ -247,19 +249,36 @@ class _Path:
 
     @staticmethod
     def of(run: Solution) -> _Path:
-        """Return the path of a run in state space, without repeated times."""
+        """Return the path of a run in state space, without repeated times.
+
+        Stages of Radau IIA are less accurate than the ends of its steps: cubics through them have
+        kinks. Its path has the middles of the quintics through q, v and a at the ends instead.
+        """
         kept = np.append(True, np.diff(run.t) > 1e-12 * run.t[-1])
+        if run.degree == _STAGES:
+            kept = np.arange(len(run.t)) % _STAGES == 0
         t, q, v, a, lam = (np.real(x[kept]) for x in (run.t, run.q, run.v, run.a, run.lam))
+        if run.degree == _STAGES:
+            t, q, v, a, lam = _with_middles(t, q, v, a, lam)
         Y = np.concatenate([t[:, None], q, v, lam], axis=1)
         rates = np.concatenate([np.ones((len(t), 1)), v, a, np.gradient(lam, t, axis=0)], axis=1)
         return _Path(t, Y, rates, (q.shape[1], lam.shape[1]))
 
-    def with_columns(self, run: Solution, columns: Sequence[Array]) -> _Path:
-        """Return the path with further functions, given at the times of its run, as columns."""
+    @property
+    def nodes(self) -> States:
+        """The states at the times of the path."""
+        t, q, v, lam = np.split(self.Y[:, : 1 + 2 * self.sizes[0] + self.sizes[1]], self._ends, 1)
+        return States(t[:, 0], q, v, lam)
+
+    @property
+    def _ends(self) -> list[int]:
+        return [1, 1 + self.sizes[0], 1 + 2 * self.sizes[0]]
+
+    def with_columns(self, columns: Sequence[Array]) -> _Path:
+        """Return the path with further functions, given at its times, as columns."""
         if not columns:
             return self
-        kept = np.append(True, np.diff(run.t) > 1e-12 * run.t[-1])
-        more = np.stack([np.real(x)[kept] for x in columns], axis=1)
+        more = np.stack([np.real(x) for x in columns], axis=1)
         Y = np.concatenate([self.Y, more], axis=1)
         slopes = np.concatenate([self.slopes, np.gradient(more, self.t, axis=0)], axis=1)
         return _Path(self.t, Y, slopes, self.sizes)
@@ -387,6 +406,26 @@ class _Path:
         return np.unique(np.concatenate(ends))
 
 
+def _with_middles(t: Array, q: Array, v: Array, a: Array, lam: Array) -> list[Array]:
+    """Return times and states of steps with the middle of every step between its ends.
+
+    Coordinates follow the quintic through q, v and a at both ends, multipliers a cubic.
+    """
+    h, slopes = np.diff(t)[:, None], np.gradient(lam, t, axis=0)
+    ends = [(x[:-1], x[1:]) for x in (q, v, a, lam, slopes)]
+    (q0, q1), (v0, v1), (a0, a1), (lam0, lam1), (slope0, slope1) = ends
+    middles = [
+        (q0 + q1) / 2 + 5 * h / 32 * (v0 - v1) + h**2 / 64 * (a0 + a1),
+        15 / 8 * (q1 - q0) / h - 7 / 16 * (v0 + v1) + h / 32 * (a1 - a0),
+        1.5 * (v1 - v0) / h - (a0 + a1) / 4,
+        (lam0 + lam1) / 2 + h / 8 * (slope0 - slope1),
+    ]
+    places = np.arange(1, len(t))
+    rows = zip((q, v, a, lam), middles, strict=True)
+    both = (np.insert(x, places, middle, axis=0) for x, middle in rows)
+    return [np.insert(t, places, (t[:-1] + t[1:]) / 2), *both]
+
+
 def _size(rows: Array, level: bool) -> float:
     """Return the largest range of functions (rows), or with `level` the largest value."""
     if not rows.size:
@@ -458,10 +497,13 @@ class _Chords:
 
     def kinks(self, share: float) -> int:
         """Return the number of steps below which steps jump over a kink of the functions."""
+        cut = slice(1, -1)
         kinked = (
             level
             for level, off, after, _ in self._cells
-            if np.any((off > share) & (after > _KINKED * off))
+            # The first and the last chord of a half level are cut: a quarter of their length is
+            # half of it, and a smooth function only four times closer.
+            if np.any(((off > share) & (after > _KINKED * off))[cut if level % 1 else slice(None)])
         )
         last = max(kinked, default=None)
         return 0 if last is None else 2 ** (math.floor(last) + 1)
@@ -630,8 +672,7 @@ def _observed(system: MechanicalSystem, seen: Seen, path: _Path, run: Solution) 
     if k is not None:
         near = float(np.max(np.real(observable.value(system, states_of(run)))))
     leaves = [x for x in observable.leaves() if not isinstance(x, Custom)]
-    columns = [x.leaf_value(system, states_of(run)) for x in leaves]
-    whole = path.with_columns(run, columns)
+    whole = path.with_columns([x.leaf_value(system, path.nodes) for x in leaves])
     count = whole.Y.shape[1]
     operations, at = Operations(2 * count), np.arange(2 * count)
     inputs = Traced.array(operations, at[:count])
