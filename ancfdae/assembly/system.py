@@ -23,8 +23,8 @@ from ancfdae.equations import (
     StateDirection,
     SystemProperties,
 )
-from ancfdae.equations.contact_record import ContactRecord
 from ancfdae.equations.plans import Plan
+from ancfdae.equations.solution_parts import ContactRecord
 from ancfdae.equations.system import States
 from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError

@@ -36,7 +36,7 @@ from ancfdae.kernels import (
     CoupledMatrix,
 )
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.coupled import coupled_arrays
+from ancfdae.numerics.linear_solvers import coupled_arrays
 
 _ROOT = np.sqrt(6.0)
 
