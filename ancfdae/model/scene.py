@@ -251,7 +251,7 @@ class Scene(SceneDesign):
                 "Scene.start",
                 "EquilibriumStart stands alone or with node states without velocities",
                 listed(type(start).__name__ for start in self.start),
-                "Leave out what moves; a NodalState tells where the search starts.",
+                "Leave out what moves; the search starts from a NodalState.",
             )
 
     @staticmethod
