@@ -41,9 +41,9 @@ from typing import Any, NamedTuple, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations.complex_steps import ComplexSteps
-from ancfdae.equations.contact_record import ContactRecord
 from ancfdae.equations.naming import Naming
 from ancfdae.equations.plans import CalledPlan, DesignPlan, FactorTable, ListPlan, Plan
+from ancfdae.equations.solution_parts import ContactRecord
 from ancfdae.errors.checks import require_array, require_finite, require_flag
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import listed
