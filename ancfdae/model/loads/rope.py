@@ -395,8 +395,9 @@ class Rope(Load):
         # Both of two points may move.
         way = h * (speeds[1:] + speeds[:-1])
         far = way > _LONG * np.minimum(short[1:], short[:-1])
-        radii = [np.abs(x.radius) for x in self._stations(U_o, 0 * U_o, p, U_o) if x.radius != 0]
-        counts = np.clip(np.ceil(_FINE * way[:, 0, 0] / min(radii, default=np.inf)), *_PLACES)
+        radii = [abs(x.radius.real) for x in self._stations(U, V, p, U_o) if x.radius != 0]
+        parts = _FINE * way[:, 0, 0].real / min(radii, default=np.inf)
+        counts = np.clip(np.ceil(parts), *_PLACES)
         for k in np.flatnonzero(far):
             if off is not None and k >= off[0]:
                 break
