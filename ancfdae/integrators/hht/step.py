@@ -35,6 +35,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.plans import CalledPlan, ListPlan
 from ancfdae.equations.saddle_points import Prepared
+from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.hht import linear_passes
 from ancfdae.integrators.hht.equations import (
@@ -557,9 +558,15 @@ class HHTStepper(OneStepMethod[State]):
         return float(np.maximum(turn, error))
 
     def start_error(self) -> float:
-        """Return e of a first step of size 1 s, from the third derivative at the start."""
+        """Return e of a first step of size 1 s, from the third derivative at the start.
+
+        Zero if the matrices there are not finite, which the first step reports.
+        """
         derivative, still = self._problem.derivative, Coefficients(0.0, self._alpha)
-        start = RecurrenceStart.of(self._problem, still)
+        try:
+            start = RecurrenceStart.of(self._problem, still)
+        except SingularMatrix:
+            return 0.0
         motion = start.jerks[0].jerk.real, self._problem.size(self._problem.initial.q)
         if derivative is None:
             return self._error(1.0, *motion)
