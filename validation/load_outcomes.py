@@ -317,7 +317,8 @@ class _Scene(RandomRun):
         point = first.at_start if isinstance(first, Beam) else first.origin
         axis = 2 if len(self.model.gravity) == 3 else 1
         height = position(point, axis)
-        place = float(first.start[axis] if isinstance(first, Beam) else first.position[axis])
+        corner: Any = first.start if isinstance(first, Beam) else first.position
+        place = float(corner[axis])
         lower = place - float(rng.choice([1e-9, 0.01, 0.1, 1.0]))
         e = float(rng.choice([0.0, 0.5, 1.0]))
         events: list[Any] = [

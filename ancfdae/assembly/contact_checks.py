@@ -24,9 +24,10 @@ from ancfdae.assembly.load_forces import MovingLoad
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.passed_contacts import Passed, passed_contacts
+from ancfdae.assembly.turning_lines import TurningLine
 from ancfdae.equations.contact_record import ContactRecord, MissedContact
 from ancfdae.model.loads.contact import ContactLoad
-from ancfdae.model.loads.pair_contact import PairContact
+from ancfdae.model.loads.pair_contact import BeamPairContact, PairContact
 from ancfdae.model.parts import Elements
 from ancfdae.numerics.arrays import Array
 
@@ -93,15 +94,28 @@ class RunContacts(ContactRecord):
         naming: SceneNaming,
         elements: Elements,
         groups: Groups,
+        start: Array,
     ) -> None:
+        """Take the loads and the state q at the start of the run, (n_q,).
+
+        Raises InvalidInputError if a beam that touches itself has too few elements there.
+        """
         self._groups, self._scale = groups, np.zeros(len(groups.starts))
         self._loads = [_LoadContacts(load, groups, self._scale) for load in loads]
         pairs = [x.item.load for x in loads]
-        self._pairs = [
+        lines = [
+            TurningLine(load, naming, elements)
+            for load in pairs
+            if isinstance(load, BeamPairContact) and load.other_radius is None
+        ]
+        for line in lines:
+            line.require(start)
+        self._pairs: list[LeftOutPairs | TurningLine] = [
             LeftOutPairs(load, naming, elements)
             for load in pairs
             if isinstance(load, PairContact) and load.reach is not None
         ]
+        self._pairs += lines
         self._last: tuple[Array, Array, Array] | None = None
 
     def follow(self, t: Array, q: Array, v: Array) -> None:
@@ -131,12 +145,12 @@ class RunContacts(ContactRecord):
         np.maximum(self._scale, largest, out=self._scale)
         for load in self._loads:
             load.follow(states, begin)
-        for pairs in self._pairs:
-            pairs.follow(*states)
+        for each in self._pairs:
+            each.follow(*states)
 
     def missed(self) -> MissedContact | None:
         """Return the first contact that the run does not resolve, or None."""
-        found = [*(x.missed() for x in self._loads), *(x.missed() for x in self._pairs)]
+        found = [x.missed() for x in (*self._loads, *self._pairs)]
         return min((x for x in found if x is not None), default=None, key=lambda x: x.time)
 
 

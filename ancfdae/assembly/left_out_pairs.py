@@ -30,7 +30,8 @@ class LeftOutPairs:
         assert load.reach is not None
         self._load, self._naming, self._reach = load, naming, load.reach
         self._names = (*load.whole_beams, *load.whole_bodies)
-        self._listed = set(map(tuple, load.pairs(elements).tolist()))
+        never = load.adjoining(load.places(elements))
+        self._listed = set(map(tuple, np.concatenate([load.pairs(elements), never]).tolist()))
         self._missed: MissedContact | None = None
         # Remaining path of nodes until gaps are measured again; m.
         self._left = 0.0

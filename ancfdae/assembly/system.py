@@ -15,8 +15,7 @@ from ancfdae.assembly.folds import Folds, first_mirrored
 from ancfdae.assembly.load_forces import LoadInput
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbers import Numbers
-from ancfdae.assembly.parameters import parameter_map
-from ancfdae.assembly.value_limits import value_limits
+from ancfdae.assembly.parameters import parameter_map, value_limits
 from ancfdae.equations import (
     DesignPartials,
     Linearisation,
@@ -125,7 +124,8 @@ class AncfSystem(PlannedSystem):
         return SystemProperties(
             constant_mass=True,
             linear_constraints=joints.linear,
-            constant_constraints=joints.constant,
+            # The same at all times and designs.
+            constant_constraints=joints.tangent is not None and not joints.active,
             velocity_forces=damped or turning or self._loads.uses_velocity,
             # Damping of bodies turns with them: -(D(q) v)_q is not symmetric; nor are loads that
             # move, nor gyroscopic forces.
@@ -194,7 +194,7 @@ class AncfSystem(PlannedSystem):
             self.constraint_pattern.rows_of(np.zeros(self.constraint_pattern.size)),
             factors.over if factors.driven else None,
             self._loads.factors,
-            self._loads.plans(),
+            self._loads.plans,
             self._loads.turning,
         )
 
@@ -335,12 +335,15 @@ class AncfSystem(PlannedSystem):
         return self._folds.strained(q)
 
     def contacts(self) -> ContactRecord | None:
-        """Return a record for the contacts of one run; None without contact loads."""
-        loads = self._loads.touching()
+        """Return a record for the contacts of one run; None without contact loads.
+
+        Raises InvalidInputError if a beam that touches itself has too few elements at the start.
+        """
+        loads = self._loads.touching
         if not loads:
             return None
         groups = Groups.of(self._numbering, self.weights)
-        return RunContacts(loads, self.naming, self._scene.elements, groups)
+        return RunContacts(loads, self.naming, self._scene.elements, groups, self.start()[0])
 
     def constraint(self, t: float, *motion: Array) -> Array:
         """Return Phi, (n_lam,), or its time derivative of the order of the rates in `motion`."""
@@ -370,7 +373,7 @@ class AncfSystem(PlannedSystem):
 
         There the derivative of its equation in the angle has not the sign that it has at the start.
         """
-        if not self._constraints.turns or np.iscomplexobj(q) or np.iscomplexobj(self.b):
+        if not self._constraints.factors.turns or np.iscomplexobj(q) or np.iscomplexobj(self.b):
             return None
         off = self._constraints.by_turn(q, t) * self._sides < 0
         instants = np.flatnonzero(np.any(off, axis=1))

@@ -41,7 +41,7 @@ from ancfdae.errors import (
     MissingPackageError,
     UnlikelyValueWarning,
 )
-from ancfdae.integrators.pace import Pace
+from ancfdae.integrators.step_control.steps import Pace
 from ancfdae.laws import Constant
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.observables import custom

@@ -216,8 +216,6 @@ def test_a_load_between_bodies_is_refused_in_words():
     far = SphereContacts(["a", "b"], [0.1, 0.1], stiffness=1.0, reach=0.01)
     with pytest.raises(InvalidInputError, match="must reach a pair"):
         Scene([], [], bodies=bodies, loads=[far])
-    with pytest.raises(InvalidInputError, match="two beams"):
-        BeamPairContact("a", "a", stiffness=1.0, radius=0.1, other_radius=0.1)
     rope = Beam("rope", (0, 0), (1, 0), 2, Circle(0.01), SOFT, element=CABLE_2D)
     pair = BeamPairContact("rope", "line", stiffness=1.0, radius=0.1, other_radius=0.1)
     with pytest.raises(UnknownNameError, match="'line'"):

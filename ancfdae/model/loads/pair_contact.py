@@ -1,4 +1,4 @@
-"""Contact between bodies as a load: between many spheres, and between two beams."""
+"""Contact between bodies as a load: between many spheres, and of a beam with a beam or itself."""
 
 import abc
 from collections.abc import Sequence
@@ -84,18 +84,35 @@ class PairContact(ContactLoad):
         pairs if `reach` is None.
         """
 
+    def adjoining(self, places: Sequence[Array]) -> Array:
+        """Return the pairs, (n, 2), that never touch because one body continues the other.
+
+        `places` are the positions of nodes in the reference configuration, as in `within`.
+        """
+        return np.zeros((0, 2), dtype=int)
+
     @final
-    def pairs(self, elements: Elements) -> Array:
-        """Return the pairs that may touch, (n, 2); InvalidInputError if all are out of reach."""
+    def places(self, elements: Elements) -> list[Array]:
+        """Return the node positions of each body in the reference configuration, (n, d); m."""
         places = []
         for name in (*self.whole_beams, *self.whole_bodies):
             at = np.linspace(0.0, 1.0, elements.counts.get(name, 0) + 1).tolist()
             points = [MaterialPoint(name, x if name in elements.counts else None) for x in at]
             places.append(np.array([elements.place_of(point) for point in points]))
+        return places
+
+    @final
+    def pairs(self, elements: Elements) -> Array:
+        """Return the pairs that may touch, (n, 2); InvalidInputError if all are out of reach."""
+        places = self.places(elements)
         found = self.within(places, self.reach)
+        beside = set(map(tuple, self.adjoining(places).tolist()))
+        if beside:
+            found = found[[tuple(pair) not in beside for pair in found.tolist()]]
         if not len(found):
-            where, rule = f"load {self.name!r}, reach", "must reach a pair of bodies"
-            raise InvalidInputError(where, rule, self.reach, "Give a larger one, or leave it out.")
+            rule = "must reach a pair of bodies, or of elements that do not adjoin each other"
+            repair = "Give a larger one, or leave it out; divide a beam into more elements."
+            raise InvalidInputError(f"load {self.name!r}, reach", rule, self.reach, repair)
         return found
 
 
@@ -208,7 +225,7 @@ class SphereContacts(PairContact):
 @final
 @dataclass(frozen=True)
 class BeamPairContact(PairContact):
-    """Contact of two beams or cables, centre lines with radii.
+    """Contact of two beams or cables, centre lines with radii, or of one with itself.
 
     Gauss points along `beam` are in contact with the closest points of the other centre line. The
     force per unit of reference length of `beam` follows the law of `Contact`. Where beams cross the
@@ -216,14 +233,21 @@ class BeamPairContact(PairContact):
     ``stiffness``, ``radius``, ``other_radius``, ``restitution``, ``impact_speed``, ``friction`` and
     ``slip_speed``.
 
+    If both names are the same the beam touches itself: coils, loops, a heap. Each pair of elements
+    counts once, with the Gauss points of the first one. Elements that share a
+    node do not touch each other, nor do elements between which the line is shorter than a diameter.
+    This is true while the line turns by less than a right angle in them: at least nine elements in
+    a turn. It is checked at the start of a run (InvalidInputError) and along the run, which ends
+    with a message where it fails.
+
     Parameters
     ----------
     beam, other_beam : str
-        Names of two beams; `other_beam` must have no kinks.
+        Names of two beams, or twice the same; `other_beam` must have no kinks.
     stiffness : float
         k, positive; N/m^(m+1).
     radius, other_radius : float
-        Distances from the centre lines to the surfaces; m.
+        Distances from the centre lines to the surfaces; m. A beam that touches itself has one.
     points_per_element : int, optional
         Gauss points in each element of `beam`, 4 by default.
     exponent, restitution, impact_speed, friction, slip_speed
@@ -235,7 +259,7 @@ class BeamPairContact(PairContact):
     beam: str
     other_beam: str
     points_per_element: int = 4
-    other_radius: float = field(kw_only=True)
+    other_radius: float | None = field(default=None, kw_only=True)
 
     design_fields = (*FORCE_FIELDS, ("other_radius", require_not_negative), LAW_FIELD)
 
@@ -243,34 +267,52 @@ class BeamPairContact(PairContact):
         super().__post_init__()
         where = f"load {self.name!r}"
         require_text(f"{where}, other_beam", self.other_beam)
-        names = [self.beam, self.other_beam]
-        require_unique(where, "must be of two beams", names, "A beam does not touch itself.")
         repair = "Give the number of points."
         require_count(f"{where}, points_per_element", self.points_per_element, repair, 64)
         if self.radius is None:
             rule, repair = "must be given", "Give the radius of the first beam."
             raise InvalidInputError(f"{where}, radius", rule, None, repair)
+        if (self.other_radius is None) != (self.beam == self.other_beam):
+            rule = "must be given for two beams, and left out for a beam that touches itself"
+            repair = "Give one radius for each beam."
+            raise InvalidInputError(f"{where}, other_radius", rule, self.other_radius, repair)
 
     @property
     def whole_beams(self) -> tuple[str, ...]:
-        """Names of the two beams in contact."""
-        return (self.beam, self.other_beam)
+        """Names of the two beams in contact, or of the one that touches itself."""
+        return (self.beam,) if self.other_radius is None else (self.beam, self.other_beam)
 
     def within(self, places: Sequence[Array], reach: float | None) -> Array:
         """Return the element pairs, (n, 2), whose bounding balls are at most `reach` apart."""
         balls = []
-        for nodes, radius in zip(places, (self.radius or 0.0, self.other_radius), strict=True):
+        radii = [self.radius or 0.0, self.other_radius or 0.0][: len(places)]
+        for nodes, radius in zip(places, radii, strict=True):
             halves = np.diff(nodes, axis=0) / 2
             # Balls around chords are a fifth larger, for elements that are bent.
             sizes = 1.2 * np.linalg.norm(halves, axis=1) + radius
             balls.append(np.column_stack([nodes[:-1] + halves, sizes]))
-        return _within(balls[0], balls[1], reach)
+        found = _within(balls[0], balls[-1], reach)
+        return found if len(balls) == 2 else found[found[:, 0] < found[:, 1]]
+
+    def adjoining(self, places: Sequence[Array]) -> Array:
+        """Return pairs of elements of one beam with less than a diameter between them, (n, 2).
+
+        Neighbours are among them. Without a second beam the list is of all k <= j.
+        """
+        if len(places) == 2:
+            return super().adjoining(places)
+        arc = np.cumsum(np.linalg.norm(np.diff(places[0], axis=0, prepend=places[0][:1]), axis=1))
+        count = len(arc) - 1
+        free = np.searchsorted(arc, arc[1:] + 2 * (self.radius or 0.0))
+        ends = np.clip(free, np.arange(count) + 2, count)
+        return np.array([(k, j) for k, end in enumerate(ends.tolist()) for j in range(k, end)])
 
     def vectors(self, elements: Elements) -> Vectors:
         """Return, per Gauss point and element, the point, its axes, and the element's vectors."""
-        both = [self.turning(MaterialPoint(x, 0.0), elements) for x in self.whole_beams]
+        names = self.beam, self.other_beam
+        both = [self.turning(MaterialPoint(x, 0.0), elements) for x in names]
         points = box_rule((self.points_per_element,))[0][:, 0].tolist()
-        names: list[Any] = []
+        found: list[Any] = []
         for k, j in self.pairs(elements).tolist():
             line = (Quantity.POSITION, Quantity.SLOPE_X)
             at = [(xi, x) for x in line for xi in (0.0, 1.0)]
@@ -278,9 +320,9 @@ class BeamPairContact(PairContact):
             ends = [LineVector(self.other_beam, j, *each) for each in at]
             for xi in points:
                 own = (Quantity.POSITION, *both[0])
-                names += [LineVector(self.beam, k, xi, x) for x in own]
-                names += ends
-        return tuple(names)
+                found += [LineVector(self.beam, k, xi, x) for x in own]
+                found += ends
+        return tuple(found)
 
     def copies(self, elements: Elements) -> Copies:
         """Return one copy per Gauss point of `beam` and element of the other beam.
@@ -327,7 +369,7 @@ class BeamPairContact(PairContact):
             dot(slopes, slopes).sum(axis=-2, keepdims=True)
         )
         e = point[..., :1, :] - X[..., :1, :] - half
-        return size + values[1] + values[6], e
+        return size + _radii(values), e
 
     def depth(self, U: Array, signals: Array, p: Array, U_o: Array) -> Array:
         """Return the depth of the point in the element, or in its ball if far, (..., 1, 1); m."""
@@ -352,7 +394,7 @@ class BeamPairContact(PairContact):
         """
         values, l = self.split(p), signals[..., 3:4, None]
         point, X, _ = self._split(U)
-        c, size, chord = point[..., :1, :], values[1] + values[6], X[..., 1:2, :] - X[..., :1, :]
+        c, size, chord = point[..., :1, :], _radii(values), X[..., 1:2, :] - X[..., :1, :]
         xi = _clamped(dot(c - X[..., :1, :], chord) / dot(chord, chord), 0.0)
         for _ in range(_ITERATIONS):
             r, r_1, r_2 = (_weighted(w, X) for w in _hermite(xi, l))
@@ -395,6 +437,11 @@ class BeamPairContact(PairContact):
         if others is not None:
             result += [-(1 - xi) * others * F, -xi * others * F]
         return concatenate(result)
+
+
+def _radii(values: Sequence[Any]) -> Any:
+    """Return the sum of both radii of a `BeamPairContact`, or the diameter of its one beam."""
+    return values[1] + (values[1] if values[6] is None else values[6])
 
 
 def _clamped(xi: Any, beyond: float) -> Any:
