@@ -14,7 +14,7 @@ from collections.abc import Callable
 from contextvars import ContextVar
 from dataclasses import replace
 from functools import cached_property, wraps
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -87,6 +87,8 @@ class FormulaSystem(ListedSystem):
     """
 
     _formulas: Formulas
+    #: Formulas of the last system of the class that were traced and checked.
+    _checked: ClassVar[Formulas | None] = None
 
     def __init_subclass__(cls, **named: Any) -> None:
         """Make `with_values` of the class pass the traced formulas on to the system it returns."""
@@ -143,6 +145,13 @@ class FormulaSystem(ListedSystem):
             self._formulas = Formulas(self)
         finally:
             _TRACING.reset(token)
+        checked, content = kind._checked, self._formulas.content
+        if checked and checked.kind is kind and content and checked.content == content:
+            # The same operations as before: their lists and derivatives are there.
+            self._formulas = checked
+            self._declared_start()
+            self._warn_of_kinks()
+            return
         called = self._formulas.called
         message = (
             f"{kind.__name__}: each evaluation calls {' and '.join(called)}, which takes a hundred "
@@ -158,6 +167,7 @@ class FormulaSystem(ListedSystem):
         self._warn_of_kinks()
         if called:
             warnings.warn(message, NotTracedWarning, stacklevel=4)
+        kind._checked = self._formulas
 
     # -- what a user writes ----------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
 
@@ -37,6 +37,31 @@ class Plan(NamedTuple):
     load_factors: Callable[[Array], Array]
     moving: tuple[tuple[LoadPlan, bool], ...]
     turning: Array
+
+
+@final
+class DesignPlan(NamedTuple):
+    """What n_b design variables change in a system with a `Plan`, for `SceneAccelerations`.
+
+    `elements` are partials of the laws of the elements, as `Block.force_totals` takes them. `mass`
+    maps a to (M a)_b, `loads` the factors of the loads to theirs, with n_b n_q rows each. `forces`,
+    (n_b, n_q), are derivatives of gravity and steady loads, `constraints` as
+    `ConstraintPlan.totals` takes them. `moved` names a moving load and a design variable by their
+    numbers, with the load perturbed by an imaginary step.
+    """
+
+    n_b: int
+    elements: tuple[Array, ...]
+    mass: Csr
+    forces: Array
+    loads: Csr
+    constraints: tuple[Array, ...]
+    moved: tuple[tuple[int, int, LoadPlan], ...]
+
+
+#: Factors of joints with two time derivatives, (3, k, n_parts), and of loads, (k, n_loads), at k
+#: times, and their design partials, (n_b, 3, k, n_parts) and (n_b, k, n_loads), None where zero.
+FactorTable: TypeAlias = tuple[Array, Array, Array | None, Array | None]
 
 
 @final

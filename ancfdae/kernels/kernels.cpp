@@ -38,6 +38,7 @@ namespace
 #include "plan_calls.h"
 #include "matrix_calls.h"
 #include "model_calls.h"
+#include "acceleration_calls.h"
 
 /* Functions and methods of numbers of one kind, of real or complex ones, and of matrices and right
  * sides of real or complex ones. */
@@ -128,6 +129,12 @@ void elements_added(PyObject *module)
         });
 }
 
+const char *const ACCELERATIONS =
+    "Return (a, lam) above its design derivatives, (k, rows, n + m), or what prevents it.\n\n"
+    "With `projected` return the states moved onto the constraints. States are (k, 2, rows,\n"
+    "n). A number is 1 where a value is not finite, and 2 where the matrix is singular.";
+const char *const FACTORISATIONS = "Return how many matrices were factorised since the last call.";
+
 void lists_added(PyObject *module)
 {
     type_added<OperationList>(
@@ -172,17 +179,22 @@ void lists_added(PyObject *module)
         "Accelerations of a system of lists (`index_1.h`); with six lists of design\n"
         "derivatives, too.\n\n"
         "The scale, (n + m,), makes the matrix free of units.",
-        {METHOD(py_accelerations, "at", "projected, t, states",
-            "Return (a, lam) above its design derivatives, (k, rows, n + m), or what prevents\n"
-            "it.\n\n"
-            "With `projected` return the states moved onto the constraints. States are (k, 2,\n"
-            "rows, n). A number is 1 where a value is not finite, and 2 where the matrix is\n"
-            "singular.")});
+        {METHOD(py_accelerations<ListAccelerations>, "at", "projected, t, states", ACCELERATIONS),
+         METHOD(py_factorisations<ListAccelerations>, "factorisations", "", FACTORISATIONS)});
+    type_added<SceneAccelerations>(
+        module, "model, design, factors",
+        "Accelerations of a scene (`scene_accelerations.h`), with a design its derivatives, too.\n\n"
+        "The design is a `DesignPlan` or None. Factors is a function of times, (k,), or its\n"
+        "result for all times: those of joints with two derivatives, (3, k, n_parts), and of\n"
+        "loads, (k, n_loads), and their partials, (n_b, 3, k, n_parts) and (n_b, k, n_loads), or\n"
+        "None.",
+        {METHOD(py_accelerations<SceneAccelerations>, "at", "projected, t, states", ACCELERATIONS),
+         METHOD(py_factorisations<SceneAccelerations>, "factorisations", "", FACTORISATIONS)});
     type_added<ExplicitRun>(
         module, "equations, tables, step",
         "Steps of DOP853 from a state (`explicit.h`).\n\n"
-        "Equations are `ListAccelerations`, or two functions of a time and a state, (2, rows,\n"
-        "n): one returns (a, lam), (rows, n + m), the other the state on the constraints, or\n"
+        "Equations are `ListAccelerations`, `SceneAccelerations`, or two functions of a time and\n"
+        "a state, (2, rows, n): one returns (a, lam), (rows, n + m), the other the state on the constraints, or\n"
         "each a number that says why not. Tables are the factors of stages, (16, 2, 18), those\n"
         "of errors, (2, 2, 12), nodes, (16,), and factors of the dense output, (4, 16). The\n"
         "arrays of a step are written to: rows, (18, rows n), states, (16, 2, rows, n), (a,\n"

@@ -189,6 +189,21 @@ template <class T> void reaction_of(const Plan<T> *p, const Room<T> *r, const T 
     csr_rows_transposed<T>(p->n_lam, p->B.first, p->B.columns, r->B, 1, lam, 1, p->n_q, out);
 }
 
+/* Q from elastic forces -`inner`, gravity and loads. */
+template <class T>
+void applied_at(const Plan<T> *p, Room<T> *r, const T *factors, const T *q, const T *v,
+                const T *inner)
+{
+    for (Size i = 0; i < p->n_q; i++)
+        r->Q[i] = p->gravity[i] - inner[i];
+    for (Size k = 0; k < p->n_loads; k++)
+        for (Size i = 0; i < p->n_q; i++)
+            r->Q[i] += factors[k] * p->loads[k * p->n_q + i];
+    for (Size k = 0; k < p->n_moving; k++)
+        load_force<T>(p->moving[k].plan, &p->moving[k].numbers, factors + p->moving[k].factor, q,
+                      v, r->of_load, r->Q);
+}
+
 template <class T>
 void force_at(const Plan<T> *p, Room<T> *r, const T *factors, const T *q, const T *v)
 {
@@ -196,14 +211,7 @@ void force_at(const Plan<T> *p, Room<T> *r, const T *factors, const T *q, const 
         return p->own->force(factors[0], q, v, r->Q);
     memset(r->inner, 0, (size_t)p->n_q * sizeof(T));
     forces<T>(p->n_y, p->d, &p->block, q, p->damped ? v : nullptr, r->inner);
-    for (Size i = 0; i < p->n_q; i++)
-        r->Q[i] = p->gravity[i] - r->inner[i];
-    for (Size k = 0; k < p->n_loads; k++)
-        for (Size i = 0; i < p->n_q; i++)
-            r->Q[i] += factors[k] * p->loads[k * p->n_q + i];
-    for (Size k = 0; k < p->n_moving; k++)
-        load_force<T>(p->moving[k].plan, &p->moving[k].numbers, factors + p->moving[k].factor, q,
-                      v, r->of_load, r->Q);
+    applied_at<T>(p, r, factors, q, v, r->inner);
 }
 
 /* Phi = defect + its integral over a small step along dq. */

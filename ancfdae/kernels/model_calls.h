@@ -118,6 +118,8 @@ template <class T> struct Planned {
     enum { SCENE_ITEMS = 14, LIST_ITEMS = 8, CALLED_ITEMS = 6 };
     Items given;
     std::vector<MovingLoad<T>> moving;
+    std::optional<Kept<Elements>> elements; /* of a scene */
+    std::vector<Kept<LoadPlan>> load_plans;
     Listed<T> listed = {};
     Called<T> callers = {};
     ConstraintTable sizes = {}; /* of a system of one's own */
@@ -145,7 +147,7 @@ template <class T> struct Planned {
     void take_scene()
     {
         Plan<T> *p = &plan;
-        auto block = given.take<Kept<Elements>>();
+        const Kept<Elements> &block = elements.emplace(given.take<Kept<Elements>>());
         Size n = p->n_q = block->n_q, size = (Size)(block->n_y + 1) * block->d;
         p->block = block->in<T>(1), p->n_y = block->n_y, p->d = block->d;
         p->damped = p->velocity = p->block.tau != nullptr;
@@ -170,6 +172,7 @@ template <class T> struct Planned {
             moving.push_back({&load->table, load->template in<T>(), velocity, p->n_factors});
             p->n_factors += 1 + load->table.n_signals;
             p->velocity |= velocity;
+            load_plans.push_back(std::move(load));
         }
         p->moving = moving.data(), p->n_moving = (Size)moving.size();
     }

@@ -14,7 +14,7 @@ from ancfdae.equations.plans import Plan
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.equations.system import called_plan, planned
 from ancfdae.integrators.radau.stages import TABLEAU
-from ancfdae.numerics.coupled import coupled_arrays
+from ancfdae.numerics.linear_solvers import coupled_arrays
 from tests.support.mechanisms import CartesianPendulum, GuidedDoublePendulum
 from tests.support.nets import net
 from validation.scenes import pendulum

@@ -35,7 +35,7 @@ from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control.contracts import Batch, Reached
 from ancfdae.kernels import FILTER, RULES, CoupledMatrix, March
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.coupled import coupled_arrays
+from ancfdae.numerics.linear_solvers import coupled_arrays
 
 _ROOT = np.sqrt(6.0)
 

@@ -34,8 +34,8 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, final
 import numpy as np
 
 from ancfdae.equations import ErrorEstimates, MechanicalSystem, Sensitivities
-from ancfdae.equations.contact_record import ContactRecord
 from ancfdae.equations.solution import Solution
+from ancfdae.equations.solution_parts import ContactRecord
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.integrators.prescribed_motion import Lost, Watch, half_a_turn_off, lock
