@@ -102,7 +102,7 @@ class JointFactors:
     @cached_property
     def turns(self) -> bool:
         """Whether one of the joints prescribes an angle."""
-        return bool(np.any(self.by_turn(np.zeros(1))))
+        return self.driven and bool(np.any(self.by_turn(np.zeros(1))))
 
     def by_turn(self, t: Array) -> Array:
         """Return derivatives of the time factors in prescribed angles at t, (1, k, n_parts)."""
@@ -116,8 +116,7 @@ class JointFactors:
 
     def partials(self, t: Array, orders: int, n_b: int) -> Array | None:
         """Return the design partials of `spread`, (n_b, orders, k, n_parts); None without any."""
-        active = self.active
-        if not active:
+        if not (self.driven and self.active):
             return None
         result = np.zeros((n_b, orders, len(t), self._count))
         for slot in self._slots:

@@ -288,6 +288,9 @@ class LoadForces:
                 self._steady = self._steady + row
             else:
                 self._timed.append((item, row))
+        # The sum of constant loads, (n_q,), and the rows that laws multiply, (n, n_q).
+        rows = [row for _, row in self._timed]
+        self.timed = self._steady, np.array(rows).reshape(len(rows), self._n_q)
         # One for each law of `factors` whose load depends on the motion and is no stiffness, else
         # zero.
         turning = np.zeros(len(self._timed))
@@ -299,11 +302,6 @@ class LoadForces:
     def sharp(self) -> list[LoadInput]:
         """Return the loads whose force may change abruptly with positions or velocities."""
         return [load.item for load in self._moving if load.item.load.sharp]
-
-    def timed(self) -> tuple[Array, Array]:
-        """Return the sum of constant loads, (n_q,), and the rows that laws multiply, (n, n_q)."""
-        rows = [row for _, row in self._timed]
-        return self._steady, np.array(rows).reshape(len(rows), self._n_q)
 
     def factors(self, t: Array) -> Array:
         """Return law values of loads at times t, (k, n): of constant loads, then of moving loads.

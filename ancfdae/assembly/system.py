@@ -23,8 +23,8 @@ from ancfdae.equations import (
     StateDirection,
     SystemProperties,
 )
-from ancfdae.equations.contact_record import ContactRecord
 from ancfdae.equations.plans import DesignPlan, FactorTable, Plan
+from ancfdae.equations.solution_parts import ContactRecord
 from ancfdae.equations.system import States
 from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError
@@ -180,7 +180,7 @@ class AncfSystem(PlannedSystem):
         """Arrays of the scene for time stepping in kernels; None in a rotating frame."""
         if self._turning is not None:
             return None
-        steady, rows = self._loads.timed()
+        steady, rows = self._loads.timed
         inertia, weights, factors = self._inertia, self.weights, self._constraints.factors
         return Plan(
             *self._elastic.tangent_places,
@@ -267,7 +267,7 @@ class AncfSystem(PlannedSystem):
         assert scene is not None
         assert rest is not None
         if rest.gravity is not None:
-            mapping = mapping.holding("scene", rest.gravity, len(self._scene.gravity or ()))
+            mapping = mapping.with_scene(rest.gravity, len(self._scene.gravity or ()))
         return Numbers.first(scene, self._structure.design, mapping, self.b)
 
     def start(self) -> tuple[Array, Array]:

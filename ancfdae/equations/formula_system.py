@@ -476,6 +476,16 @@ class FormulaSystem(ListedSystem):
         orders = len(motion) - 1
         return self._values(Formulas.constraint_q, orders, rows=len(t), t=t[:, None], **at)[0]
 
+    def constraint_partials(self, t: Array, *motion: Array) -> Array:
+        """Return the design derivatives of `constraint` at k times, shape (k, n_lam, n_b)."""
+        k, n_b = len(t), self.n_b
+        at: dict[str, Any] = {"t": np.repeat(t, n_b)[:, None], "db": np.tile(np.eye(n_b), (k, 1))}
+        at |= {f"d{name}": np.zeros(self.n_q) for name in _RATES[: len(motion)]}
+        at |= self._motion(tuple(np.repeat(x, n_b, axis=0) for x in motion))
+        of, order = Formulas.constraint_total, len(motion) - 1
+        rows = self._values(of, order, rows=k * n_b, **at)[0]
+        return rows.reshape(k, n_b, self.n_lam).mT
+
     def constraint_total(
         self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None
     ) -> Array:

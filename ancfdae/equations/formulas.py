@@ -355,8 +355,8 @@ class Formulas:
     def march(self, velocity: bool) -> tuple[OperationList, ...]:
         """Return the operation lists of a `ListPlan` for time stepping in a kernel."""
         _, *tangents, Phi_q = self.linearised(True, velocity)
-        Phi, rate = (self.constraint(order)[0] for order in range(2))
-        values = ([Phi_q], [Phi], [rate], [self._Q], [*self.mass()], tangents)
+        rates = ([self.constraint(order)[0]] for order in range(3))
+        values = ([Phi_q], *rates, [self._Q], [*self.mass()], tangents)
         return tuple(self._list(outputs, "t", "q", "v", "a", "lam", "b") for outputs in values)
 
     def _list(self, outputs: Sequence[Array], *inputs: str) -> OperationList:

@@ -68,9 +68,9 @@ FactorTable: TypeAlias = tuple[Array, Array, Array | None, Array | None]
 class ListPlan(NamedTuple):
     """A system of lists of operations, for `Model` and `ComplexModel`.
 
-    Lists take t, q, v, A, lam and b, and return Phi_q, Phi, dPhi/dt, Q, M, and f_q with f_v behind
-    it if forces use velocities. Values of matrices stand on the patterns B of Phi_q and K of all
-    others. t is the time of a run plus `start`.
+    Lists take t, q, v, A, lam and b, and return Phi_q, Phi, dPhi/dt, d^2 Phi/dt^2, Q, M, and f_q
+    with f_v behind it if forces use velocities. Values of matrices stand on the patterns B of Phi_q
+    and K of all others. t is the time of a run plus `start`.
     """
 
     lists: tuple[OperationList, ...]
@@ -95,7 +95,8 @@ class ListPlan(NamedTuple):
 class CalledPlan(NamedTuple):
     """A system whose equations Python evaluates, for `Model` and `ComplexModel`.
 
-    The functions return M(q), Phi_q(t, q), Phi(t, q) or its rate Phi(t, q, v), and Q(t, q, v). Two
+    The functions return M(q), Phi_q(t, q), Phi(t, q) or its rates of the order of the motion behind
+    t, and Q(t, q, v). Two
     more return (f_q, f_v or None) of (t, q, v, a, lam), and (P, P_q) of (t, q), the loads that turn
     with the motion. Values of matrices have the patterns B of Phi_q and K of all others.
     """

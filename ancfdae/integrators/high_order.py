@@ -15,8 +15,8 @@ from typing import ClassVar, Self, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.contact_record import MissedContact
 from ancfdae.equations.solution import Solution
+from ancfdae.equations.solution_parts import MissedContact
 from ancfdae.errors.checks import require_array, require_count
 from ancfdae.errors.kinds import InvalidInputError, SingularMatrix
 from ancfdae.errors.outcomes import RunOutcome, Verdict

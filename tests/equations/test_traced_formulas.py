@@ -32,7 +32,6 @@ from ancfdae.extend import FormulaSystem, SystemProperties, positive
 from ancfdae.integrators.problem import Accelerations, CompiledAccelerations, accelerations
 from ancfdae.kernels import (
     RULES,
-    STAGES_SOLVED,
     ExplicitRun,
     ListAccelerations,
     Model,
@@ -775,9 +774,9 @@ def counting(taken):
             taken.append(found[0])
             return found
 
-        def solve_stages(self, *x):
-            found = self.model.solve_stages(*x)
-            taken.append(int(found[0] == STAGES_SOLVED))
+        def march_stages(self, *x):
+            found = self.model.march_stages(*x)
+            taken.append(found[0])
             return found
 
     return Counted
