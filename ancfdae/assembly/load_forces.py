@@ -325,7 +325,7 @@ class LoadForces:
 
     @cached_property
     def changes(self) -> tuple[Array, LinearMap, tuple[tuple[int, int, LoadPlan], ...]]:
-        """What design variables change, as in `DesignPlan`: steady loads, rows of loads, plans.
+        """Design derivatives of steady loads and rows of loads, and moved plans (`DesignPlan`).
 
         Steady loads have the shape (n_b, n_q), the map takes factors of constant loads with a law.
         """

@@ -200,7 +200,7 @@ class AncfSystem(PlannedSystem):
 
     @cached_property
     def design_plan(self) -> DesignPlan:
-        """What the design variables change in the arrays of `plan`."""
+        """Design derivatives of the arrays of `plan`."""
         steady, loads, moved = self._loads.changes
         return DesignPlan(
             self.n_b,

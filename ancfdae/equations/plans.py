@@ -41,7 +41,7 @@ class Plan(NamedTuple):
 
 @final
 class DesignPlan(NamedTuple):
-    """What n_b design variables change in a system with a `Plan`, for `SceneAccelerations`.
+    """Derivatives of a `Plan` with respect to n_b design variables, for `SceneAccelerations`.
 
     `elements` are partials of the laws of the elements, as `Block.force_totals` takes them. `mass`
     maps a to (M a)_b, `loads` the factors of the loads to theirs, with n_b n_q rows each. `forces`,

@@ -498,7 +498,7 @@ class PlannedSystem(MechanicalSystem):
     @property
     @abc.abstractmethod
     def design_plan(self) -> DesignPlan:
-        """What the design variables change in the arrays of `plan`."""
+        """Design derivatives of the arrays of `plan`."""
 
     @property
     @abc.abstractmethod

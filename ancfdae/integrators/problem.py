@@ -257,8 +257,10 @@ def accelerations(system: MechanicalSystem, matrices: SaddlePoint) -> Accelerati
     """Return the solver for accelerations of a system, in a kernel where it can be.
 
     Python evaluates the equations of systems that are given by functions, of scenes in a rotating
-    frame, and of systems that start at an event.
+    frame, of systems that start at an event, and at complex design values.
     """
+    if np.iscomplexobj(system.b):
+        return Accelerations(system, matrices)
     if isinstance(system, ListedSystem):
         listed, parts = system, (system.b, matrices.scale)
         return CompiledAccelerations(

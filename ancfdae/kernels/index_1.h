@@ -2,8 +2,8 @@
  * (`integrators/problem.py`), in real numbers.
  *
  * A state is q above its n_b design derivatives, then v likewise: (2, 1 + n_b, n), or (2, 1, n).
- * `Index1` has the algorithm once, for formulas that are lists of operations (`Index1System`) or those
- * of a scene (`scene_accelerations.h`).
+ * `Index1` has the algorithm once, for lists of operations (`Index1System`) and for the formulas of
+ * a scene (`scene_accelerations.h`).
  *
  * Lists take all of their inputs in this order, changes of q, v and b last:
  *   MATRIX        t, q, v, b                      M, Phi_q, Q, gamma
@@ -29,7 +29,7 @@ int all_finite(const double *x, Size count)
 struct Accelerations {
     Size rows, n, m;
     virtual ~Accelerations() = default;
-    /* Times of the next states, ascending: laws are evaluated at all of them at once. */
+    /* Times of the next states, ascending: laws are evaluated at all times in one call. */
     virtual void expect(Size, const double *) {}
     virtual int solved(double t, const double *state, double *out) = 0;
     virtual int projected(double t, double *state) = 0;

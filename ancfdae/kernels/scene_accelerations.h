@@ -6,7 +6,7 @@
  *     M a' + Phi_q^T lam' = Q' - M' a - (Phi_q^T lam)*,     Phi_q a' = -(d^2 Phi/dt^2)*.
  */
 
-/* Factors of time at k instants: of joints with two derivatives, (3, k, n_parts), and of loads, (k,
+/* Factors of time at k times: of joints with two derivatives, (3, k, n_parts), and of loads, (k,
  * n_factors); and their partials, (n_b, 3, k, n_parts) and (n_b, k, n_factors), or nullptr. */
 struct FactorTable {
     Size k;

@@ -1158,3 +1158,37 @@ def test_calls_of_lists_that_do_not_fit_are_refused(change, told):
     np.testing.assert_array_equal(values(), 2.0)
     with pytest.raises(ValueError, match=told):
         values(**change)
+
+
+class Sprung(FormulaSystem):
+    """A mass on a spring whose stiffness is no design variable."""
+
+    n_q, n_lam, design_names = 1, 0, ("mass",)
+
+    def __init__(self, b, stiffness):
+        self.stiffness = stiffness
+        super().__init__(b)
+
+    def with_values(self, b):
+        return Sprung(b, self.stiffness)
+
+    def start(self):
+        return np.ones(1), np.zeros(1)
+
+    def mass_matrix(self, q):
+        return self.b[0] * np.eye(1)
+
+    def force(self, t, q, v):
+        return -self.stiffness * q
+
+    def position_constraint(self, t, q):
+        return np.zeros(0)
+
+
+def test_systems_share_lists_where_their_formulas_are_the_same():
+    first, same, other = Sprung([2.0], 8.0), Sprung([3.0], 8.0), Sprung([2.0], 18.0)
+    assert first._formulas is same._formulas
+    assert first._formulas is not other._formulas
+    for system, rate in ((first, 2.0), (same, np.sqrt(8 / 3)), (other, 3.0), (first, 2.0)):
+        run = simulate(system, 1.0, DOP853(1e-10, intervals=1))
+        assert run.q[-1, 0] == pytest.approx(np.cos(rate), abs=1e-8)

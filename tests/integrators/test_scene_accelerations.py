@@ -26,6 +26,7 @@ from ancfdae.integrators.problem import (
     InitialValueProblem,
     accelerations,
 )
+from ancfdae.kernels import RULES, Model, SceneAccelerations
 from ancfdae.laws import Harmonic
 from ancfdae.observables import driver_torque, position
 from ancfdae.sections import Rectangle
@@ -146,3 +147,32 @@ def test_an_error_in_a_law_is_that_of_the_run():
                 problem.accelerations.rows_of(np.array([time]), states)
         else:
             assert np.all(np.isfinite(problem.accelerations.rows_of(np.array([time]), states)))
+
+
+@pytest.mark.parametrize("wrong", ["n_b", "forces", "mass", "loads", "moved", "factors", "rows"])
+def test_arguments_that_do_not_fit_are_refused(wrong):
+    system = assemble(four_bar(), FOUR_BAR)
+    matrices, start = saddle_point(system, 0.0).of_mass(), np.stack(system.start())
+    model = Model(system.plan, matrices.layout(band=True), np.zeros(RULES), None)
+    plan, table = system.design_plan, system.factor_table(np.zeros(1), True)
+    states = np.repeat(start[None, :, None], 1 + system.n_b, axis=2)
+    assert np.all(
+        np.isfinite(SceneAccelerations(model, plan, table).at(False, np.zeros(1), states))
+    )
+    first, columns, values = plan.mass
+    load, _, moved = plan.moved[0]
+    changes = {
+        "n_b": {"n_b": system.n_b - 1},
+        "forces": {"forces": plan.forces[:-1]},
+        "mass": {"mass": (first, columns + system.n_q, values)},
+        "loads": {"loads": plan.mass},
+        "moved": {"moved": ((load, system.n_b, moved),)},
+    }
+    if wrong in changes:
+        plan = plan._replace(**changes[wrong])
+    if wrong == "factors":
+        table = table[0], table[1][:, 1:], *table[2:]
+    if wrong == "rows":
+        states = states[:, :, 1:]
+    with pytest.raises(ValueError, match=r"must|not"):
+        SceneAccelerations(model, plan, table).at(False, np.zeros(1), states)
