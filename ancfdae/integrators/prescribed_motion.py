@@ -221,7 +221,7 @@ def _singular_within(system: MechanicalSystem, rows: Rows) -> float | None:
 def _leads(system: MechanicalSystem, step: Rows) -> bool:
     """Return whether the cubic through the ends of a step closes the joints in its middle.
 
-    Output times of an integrator may be too far apart to tell the way of the motion between them.
+    If output times are too far apart, the cubic is not the way of the motion between them.
     """
     (t, end), w = step.t.tolist(), system.weights
     middle = _cubic(step)((t + end) / 2)
