@@ -103,7 +103,7 @@ class March(abc.ABC):
             while self._t < times[0]:
                 if self.steps == self._max_steps:
                     return Verdict.STEP_LIMIT
-                # Where there are contacts Python evaluates the equations, and steps come singly.
+                # Where there are contacts steps come singly.
                 before, ends = self._t, self._steps(times)
                 if isinstance(ends, Verdict):
                     return ends

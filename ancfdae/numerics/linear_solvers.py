@@ -32,6 +32,7 @@ from __future__ import annotations
 import abc
 import warnings
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, NamedTuple, TypeAlias, final
@@ -207,6 +208,12 @@ class SaddlePoint:
         graph = scipy.sparse.csr_array((np.ones(len(rows)), (rows, columns)), (self.size,) * 2)
         count, part = scipy.sparse.csgraph.connected_components(graph, directed=False)
         return int(count), part[: self._n]
+
+    def of_mass(self) -> SaddlePoint:
+        """Return these matrices for a symmetric K, such as a mass matrix."""
+        same = copy(self)
+        same._symmetric, same._envelope = True, self._places.envelope if self._in_band else None
+        return same
 
     def layout(self, band: bool) -> MatrixLayout | None:
         """Return the positions of values in envelope and band; None if the band is too wide.
