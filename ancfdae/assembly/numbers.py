@@ -54,6 +54,7 @@ from ancfdae.assembly.reference import Reference
 from ancfdae.assembly.turning import TurningForces
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.elements import ElementParameter
+from ancfdae.model.parts import Elements
 from ancfdae.model.scene import Scene
 from ancfdae.model.scene_design import SCENE
 from ancfdae.numerics.arrays import STEP, Array
@@ -225,13 +226,18 @@ class Geometry:
 
     @staticmethod
     def of(
-        scene: Scene, layout: Layout, numbering: Numbering, mapping: ParameterMap, b: Array
+        elements: Elements,
+        scene: Scene,
+        layout: Layout,
+        numbering: Numbering,
+        mapping: ParameterMap,
+        b: Array,
     ) -> Geometry:
         """Return the geometry at design values b, with the structure of joints and loads."""
         lengths = mapping.values(b)[:, ElementParameter.LENGTH]
         naming = SceneNaming(layout, lengths, mapping.lengths_b(len(b)))
         reference = Reference(scene, mapping, b, naming)
-        inputs = PartInputs(scene, numbering, naming, mapping, reference, b)
+        inputs = PartInputs(scene, numbering, naming, mapping, reference, b, elements)
         return Geometry(naming, reference, inputs, inputs.joints(), inputs.loads())
 
     def at(self, b: Array) -> Geometry | None:
@@ -244,7 +250,7 @@ class Geometry:
         lengths = old.mapping.values(b)[:, ElementParameter.LENGTH]
         naming = SceneNaming(self.naming.layout, lengths, self.naming.lengths_b)
         reference = Reference(old.scene, old.mapping, b, naming)
-        inputs = PartInputs(old.scene, old.numbering, naming, old.mapping, reference, b)
+        inputs = replace(old, naming=naming, reference=reference, b=b)
         joints, loads = inputs.joints_like(self.joints), inputs.loads()
         pairs = zip(loads, self.loads, strict=True)
         if joints is None or not all(x.vectors.is_like(y.vectors) for x, y in pairs):
@@ -281,10 +287,12 @@ class Numbers:
         mapping: ParameterMap,
         b: Array,
         numbering: Numbering | None = None,
+        elements: Elements | None = None,
     ) -> Numbers:
         """Return the numbers of a scene, with the structure that other designs will share.
 
-        The `numbering` holds masses of states; by default they are computed from the mechanism.
+        The `numbering` holds masses of states; by default they are computed from the mechanism. The
+        `elements` hold pairs of contact loads; by default they are the ones of the scene.
         """
         if numbering is None:
             numbering = number(scene)
@@ -298,7 +306,7 @@ class Numbers:
         masses = tuple(mass.name for mass in scene.point_masses)
         bodies = numbering.bodies, numbering.beams
         layout = Layout(numbering.d, *bodies, masses, (), numbering.controllers, numbering.sliders)
-        geometry = Geometry.of(scene, layout, numbering, mapping, b)
+        geometry = Geometry.of(elements or scene.elements, scene, layout, numbering, mapping, b)
         parts = geometry.joints, geometry.loads
         structure = Structure.of(scene, design, mapping, numbering, layout, parts)
         # With the layout of the joints, which was not known before.

@@ -1,7 +1,7 @@
 """Record of the contacts of a run: base class for systems with contact loads."""
 
 import abc
-from typing import NamedTuple, final
+from typing import NamedTuple, Protocol, final
 
 from ancfdae.numerics.arrays import Array
 
@@ -12,6 +12,16 @@ class MissedContact(NamedTuple):
 
     time: float
     advice: str
+
+
+class LeftOut(Protocol):
+    """Protocol of searches along a run for pairs of bodies that touch but are left out."""
+
+    def follow(self, t: Array, q: Array, v: Array) -> None:
+        """Examine consecutive time points, (k,), the first of which was the last before."""
+
+    def missed(self) -> MissedContact | None:
+        """Return the first time at which such a pair touches, or None."""
 
 
 class ContactRecord(abc.ABC):

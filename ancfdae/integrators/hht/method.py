@@ -229,7 +229,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
         # The length of a run with one time point does not matter.
         steps, problem = (
             self.steps_of(solution),
-            InitialValueProblem.of(system, float(solution.t[-1]) or 1.0),
+            InitialValueProblem.of(system, float(solution.t[-1]) or 1.0, solution.q),
         )
         first = RecurrenceStart.of(problem, steps.of(1))
         return first, Nodes(problem, solution, steps, first.node)

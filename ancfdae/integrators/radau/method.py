@@ -159,7 +159,7 @@ class Radau(SteppedIntegrator, PartwiseIntegrator):
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds, progress: bool = False
     ) -> Array:
         """Return the gradient of an objective, (n_b,), by the discrete adjoint."""
-        problem = InitialValueProblem.of(system, float(solution.t[-1]) or 1.0)
+        problem = InitialValueProblem.of(system, float(solution.t[-1]) or 1.0, solution.q)
         on, h = np.zeros((2, system.n_q)), self.sizes(solution)
         gradient, on = linear_passes.pull_back(problem, solution, h, seeds, on, progress)
         return linear_passes.through_start(problem, on, seeds, gradient)
