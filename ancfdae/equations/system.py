@@ -352,6 +352,11 @@ class MechanicalSystem(ComplexSteps):
         """
         return self
 
+    @final
+    def in_all_states(self) -> MechanicalSystem:
+        """Return the system in the form that computes forces in all states, with all pairs."""
+        return self.along(self.start()[0][None], np.inf) if self.traits.leaves_out else self
+
     def left_out(self) -> Sequence[LeftOut]:
         """Return searches for pairs of bodies that touch but are left out; by default none."""
         return ()

@@ -64,7 +64,7 @@ class SolutionRecorder:
         self.instants = 0
         # State of step control, and before the last step with the number of time points then.
         self._control: tuple[float, ...] = ()
-        self._earlier = 0, self._control
+        self._earlier: tuple[int, tuple[float, ...]] = (0, ())
         self.accepted: int | None = None
         self.iterations = self.factorisations = self.residuals = 0
         self.round_off_steps = self.rejected = self.continued = 0

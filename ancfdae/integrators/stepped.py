@@ -187,6 +187,8 @@ class SteppedIntegrator(AdjointIntegrator):
     ) -> Solution:
         steps, started = self.steps, time.perf_counter()
         along = self._derivatives_along(system)
+        # Such a run cannot be continued with other neighbours.
+        system = system.in_all_states() if along else system
         problem = InitialValueProblem.of(system, t_end, None if after is None else after.q[-1:])
         problem = problem.differentiated() if along else problem
         scales = problem.scales
@@ -202,7 +204,7 @@ class SteppedIntegrator(AdjointIntegrator):
             near, before = problem, after
             while True:
                 done = self._marched(near, t_end, sizes_b, before, progress)
-                if along or done.outcome.verdict is not Verdict.LEFT_OUT:
+                if done.outcome.verdict is not Verdict.LEFT_OUT:
                     break
                 # The run goes on with the pair that comes close, which may be far before its step.
                 q, known = done.q[-1:], near.system

@@ -8,17 +8,20 @@ import pytest
 from ancfdae import (
     DOP853,
     HHT,
+    AdaptiveSteps,
+    Adjoint,
     InitialVelocity,
     Radau,
     RigidBody,
     Scene,
     SphereContacts,
+    Switch,
     Terminal,
     assemble,
     gradient,
     simulate,
 )
-from ancfdae.observables import load_power, observe, position
+from ancfdae.observables import elapsed_time, load_power, observe, position
 from ancfdae.results import Verdict
 from tests.physics.test_self_contact import clash
 from tests.support.contacts import agree
@@ -143,6 +146,28 @@ def test_observables_of_a_load_have_all_pairs():
         works.append(observe(load_power("touch"), run, system))
     assert np.ptp(works[0]) > 0
     np.testing.assert_allclose(works[1], works[0], rtol=1e-8, atol=1e-8 * np.ptp(works[0]))
+
+
+@pytest.mark.parametrize(
+    ("integrator", "more"),
+    [
+        (HHT(5e-4), {"memory": "4 MB"}),
+        (HHT(5e-4), {"method": Adjoint("60 kB")}),
+        (Radau(2e-3), {"method": Adjoint("60 kB")}),
+        (Radau(2e-3), {"events": [Switch(elapsed_time() - 0.2, to="start", name="switch")]}),
+        (Radau(AdaptiveSteps(1e-6, sensitivities=True)), {}),
+    ],
+)
+def test_runs_that_do_not_search_again_have_all_pairs(integrator, more):
+    found = []
+    for reach in (None, 0.05):
+        scene, bodies = plough(reach)
+        objective = Terminal(position(bodies[2].origin, 1))
+        design = ["touch.restitution", "b1.mass"]
+        found.append(gradient(scene, objective, 0.4, integrator, design=design, **more))
+    whole, near = found
+    assert near.value == pytest.approx(whole.value, rel=1e-9)
+    np.testing.assert_allclose(near.gradient, whole.gradient, rtol=1e-7)
 
 
 def test_other_integrators_end_where_a_pair_comes_close():

@@ -211,7 +211,8 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
         t = self._known_instants(t_end)
         newton = self.newton_tolerance, self.max_iterations
         steps = Steps(self.steps.sizes(t), self.hht_alpha)
-        return Replay(InitialValueProblem.of(system, t_end), steps, t, newton)
+        problem = InitialValueProblem.of(system.in_all_states(), t_end)
+        return Replay(problem, steps, t, newton)
 
     def discretisation_error(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds

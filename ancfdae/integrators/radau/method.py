@@ -168,6 +168,5 @@ class Radau(SteppedIntegrator, PartwiseIntegrator):
         """Return the run to `t_end` (s) in parts; its steps must be known in advance."""
         ends = self._known_instants(t_end)
         newton = self.newton_tolerance, self.max_iterations
-        return RadauReplay(
-            InitialValueProblem.of(system, t_end), self.steps.sizes(ends), ends, newton
-        )
+        problem = InitialValueProblem.of(system.in_all_states(), t_end)
+        return RadauReplay(problem, self.steps.sizes(ends), ends, newton)
