@@ -177,7 +177,8 @@ class AncfSystem(PlannedSystem):
 
     def sharp_loads(self) -> list[LoadInput]:
         """Return the loads whose force may change abruptly with positions or velocities."""
-        return self._loads.sharp()
+        found = self._loads.sharp()
+        return [self.inputs.in_all_states(x.load) if leaves_out(x.load) else x for x in found]
 
     @property
     def plan(self) -> Plan | None:
@@ -247,7 +248,7 @@ class AncfSystem(PlannedSystem):
             return None
         from ancfdae.statics.equilibrium import RestingStart
 
-        return RestingStart(AncfSystem(self._rest_numbers))
+        return RestingStart(AncfSystem(self._rest_numbers).in_all_states())
 
     @cached_property
     def _rest_numbers(self) -> Numbers:

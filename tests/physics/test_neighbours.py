@@ -10,14 +10,18 @@ from ancfdae import (
     HHT,
     AdaptiveSteps,
     Adjoint,
+    Clamp,
     InitialVelocity,
+    Prismatic,
     Radau,
     RigidBody,
     Scene,
     SphereContacts,
+    SpringDamper,
     Switch,
     Terminal,
     assemble,
+    equilibrium,
     gradient,
     simulate,
 )
@@ -102,7 +106,7 @@ def test_long_free_flights_do_not_pass_over_pairs_out_of_reach():
     scene, _ = plough(0.01)
     run = simulate(scene, 0.6, Radau(rtol=1e-6))
     assert run.outcome.success
-    for reach in (None, 0.01):
+    for reach in (None, 1e-4):
         again = simulate(plough(reach)[0], 0.6, Radau(rtol=1e-6).frozen(run))
         np.testing.assert_allclose(again.q, run.q, rtol=0, atol=1e-12)
 
@@ -176,3 +180,19 @@ def test_other_integrators_end_where_a_pair_comes_close():
     assert "Raise `reach`" in str(run.outcome)
     # The second ball stands 1 m away, and the first one is thrown out of the way.
     assert run.outcome.time < 0.2
+
+
+def test_equilibria_have_all_pairs():
+    # A ball on a spring that presses on another one, out of reach in the reference.
+    shapes = []
+    for reach in (None, 1e-4):
+        bodies = [RigidBody(x, (0, y), mass=1.0, inertia=0.1) for x, y in (("a", 0.201), ("b", 0.0))]
+        touch = SphereContacts(["a", "b"], [0.1, 0.1], stiffness=1e5, reach=reach, name="touch")
+        third = RigidBody("c", (0.2005, 0.0), mass=1.0, inertia=0.1)
+        touch = replace(touch, bodies=["a", "b", "c"], radii=[0.1] * 3)
+        spring = SpringDamper(bodies[0].origin, ground=(0, 1.0), stiffness=1e3, free_length=0.799)
+        joints = [Clamp(bodies[1].origin), Clamp(third.origin), Prismatic(bodies[0].origin, (0, 1))]
+        scene = Scene([], joints, (0, -9.81), bodies=[*bodies, third], loads=[touch, spring])
+        shapes.append(equilibrium(scene).solution.position(bodies[0].origin)[-1])
+    np.testing.assert_allclose(shapes[1], shapes[0], rtol=1e-9)
+    assert 0.19 < shapes[0][1] < 0.2  # pressed
