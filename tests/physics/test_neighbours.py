@@ -186,7 +186,9 @@ def test_equilibria_have_all_pairs():
     # A ball on a spring that presses on another one, out of reach in the reference.
     shapes = []
     for reach in (None, 1e-4):
-        bodies = [RigidBody(x, (0, y), mass=1.0, inertia=0.1) for x, y in (("a", 0.201), ("b", 0.0))]
+        bodies = [
+            RigidBody(x, (0, y), mass=1.0, inertia=0.1) for x, y in (("a", 0.201), ("b", 0.0))
+        ]
         touch = SphereContacts(["a", "b"], [0.1, 0.1], stiffness=1e5, reach=reach, name="touch")
         third = RigidBody("c", (0.2005, 0.0), mass=1.0, inertia=0.1)
         touch = replace(touch, bodies=["a", "b", "c"], radii=[0.1] * 3)

@@ -93,7 +93,7 @@ class PairContact(ContactLoad):
         """
 
     def adjoining(self, places: Sequence[Array]) -> Array:
-        """Return the pairs, (n, 2), that never touch because one body continues the other.
+        """Return the pairs, (n, 2), that never touch because they are parts of one line.
 
         `places` are the positions of nodes in the reference configuration, as in `within`.
         """
@@ -114,7 +114,7 @@ class PairContact(ContactLoad):
         """Return the pairs that may touch, (n, 2), at least one.
 
         They are the `elements.pairs`, or the pairs within `reach` in the reference configuration.
-        Raises InvalidInputError if there is none at any reach.
+        Raises InvalidInputError if no pair may touch at any reach.
         """
         if self.name in elements.pairs:
             return elements.pairs[self.name]
@@ -254,10 +254,10 @@ class BeamPairContact(PairContact):
     ``slip_speed``.
 
     If both names are the same the beam touches itself: coils, loops, a heap. Each pair of elements
-    counts once, with the Gauss points of the first one. Elements that share a node, or between
-    which the line is shorter than a diameter, do not touch each other, which is true while the line
-    turns by less than a right angle in them: at least nine elements in a turn. InvalidInputError if
-    it does not at the start of a run; a run ends with a message where it no longer does.
+    counts once, with the Gauss points of the first one. Elements that share a node, or have less
+    than a diameter of line between them, do not touch each other. So the line must turn by less
+    than a right angle in them: nine elements or more in a turn. InvalidInputError if it does not at
+    the start of a run; a run ends with a message where it no longer does.
 
     Parameters
     ----------
@@ -314,9 +314,9 @@ class BeamPairContact(PairContact):
         return found if len(balls) == 2 else found[found[:, 0] < found[:, 1]]
 
     def adjoining(self, places: Sequence[Array]) -> Array:
-        """Return the pairs of elements of one beam with less than a diameter between them.
+        """Return the pairs of elements with less than a diameter of one line between them, (n, 2).
 
-        Neighbours are among them. Without a second beam the list is of all k <= j.
+        They include neighbours and are ordered, k <= j. For two beams the array is empty.
         """
         if len(places) == 2:
             return super().adjoining(places)
