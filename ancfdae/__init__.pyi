@@ -51,14 +51,13 @@ from ancfdae.model.loads.forces import (
     PointForce,
     TorsionalSpringDamper,
 )
-from ancfdae.model.loads.friction import RotationalFriction, TranslationalFriction
+from ancfdae.model.loads.friction import RotationalFriction, SlidingFriction, TranslationalFriction
 from ancfdae.model.loads.obstacles import Cylinder, Plane, Sphere
 from ancfdae.model.loads.pair_contact import BeamPairContact, SphereContacts
 from ancfdae.model.loads.rope import Pulley, Rope
-from ancfdae.model.loads.sliding_friction import SlidingFriction
 from ancfdae.model.loads.springs import Bushing, SpringDamper
 from ancfdae.model.material import Material
-from ancfdae.model.point_mass import PointMass
+from ancfdae.model.parts import PointMass
 from ancfdae.model.scene import Scene
 from ancfdae.model.starts import EquilibriumStart, InitialVelocity, NodalState
 from ancfdae.model.turning_frame import RotatingFrame

@@ -8,8 +8,7 @@ from ancfdae.model.bodies import BodyShape, MaterialPoint
 from ancfdae.model.design import design_numbers
 from ancfdae.model.elements import BeamElement, StrainEnergyFunction
 from ancfdae.model.elements.element import ElementIntegrals, Quantity
-from ancfdae.model.joints.formula_joint import FormulaJoint
-from ancfdae.model.joints.joint import Joint, JointEquations, empty_equations
+from ancfdae.model.joints.joint import FormulaJoint, Joint, JointEquations, empty_equations
 from ancfdae.model.laws.law import Law, require_law
 from ancfdae.model.loads.controller import (
     ControlAxis,

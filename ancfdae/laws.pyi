@@ -7,9 +7,9 @@ from ancfdae.model.laws.law import (
     RunUp,
     SmoothStep,
     Transition,
+    UserLaw,
 )
 from ancfdae.model.laws.splines import BSpline, Spline
-from ancfdae.model.laws.user_law import UserLaw
 
 __all__ = [
     "BSpline",

@@ -15,6 +15,8 @@ from ancfdae.sensitivity.observables.points import (
     axial_strain,
     deflection,
     position,
+    slide_distance,
+    slide_speed,
     slope,
     slope_angle,
     velocity,
@@ -45,7 +47,6 @@ from ancfdae.sensitivity.observables.sections import (
     torsional_moment,
     von_mises,
 )
-from ancfdae.sensitivity.observables.sliding import slide_distance, slide_speed
 from ancfdae.sensitivity.observables.user_functions import apply, custom
 
 __all__ = [

@@ -5,8 +5,8 @@ from ancfdae.equations import ErrorEstimates, Sensitivities, Solution, Statistic
 from ancfdae.equations.conformance import SystemCheck
 from ancfdae.equations.event_solution import EventRecord, EventSolution
 from ancfdae.errors.outcomes import RunOutcome, Verdict
+from ancfdae.modes.analysis import StepSuggestion
 from ancfdae.modes.linearised import LinearisationPoint
-from ancfdae.modes.periods import StepSuggestion
 from ancfdae.modes.result import ModeKind, Modes
 from ancfdae.sensitivity.method import Accuracy, Gradient
 from ancfdae.statics.critical import CriticalLoad

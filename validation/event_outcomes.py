@@ -6,22 +6,15 @@
 draw 1,000 scenes from seeds 0, 1, ..., or 200 from seed 4000 on, and print those that do not end as
 they must. Events happen at once or never, touch zero, have poles, are NaN, steep, or closed at the
 start. Restitutions are 0, 1, tiny, or above one. A part of the impacts has friction or Poisson's
-law. Modes lead to each other, or hold joints that are open. Every scene must end within a time
-limit as a run, an outcome in words or an error of the package, or warn of very many events. A run
-that reaches its end must have finite states and gaps that are not negative beyond round-off. Where
-no impact adds energy it must not gain any. Its gradient, if it has one, must be finite and equal by
-two methods.
+law. Modes lead to each other, or hold joints that are open. Beside what `random_runs` asks of all
+scenes, a run that reaches its end must have gaps that are not negative beyond round-off. Where no
+impact adds energy it must not gain any.
 """
 
 from __future__ import annotations
 
-import signal
 import sys
-import warnings
-from collections import Counter
-from collections.abc import Callable
 from itertools import pairwise
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -29,9 +22,7 @@ import numpy as np
 from ancfdae import (
     DOP853,
     HHT,
-    Adjoint,
     Beam,
-    DirectDifferentiation,
     EndEvent,
     Impact,
     ImpactLaw,
@@ -45,12 +36,8 @@ from ancfdae import (
     RigidBody,
     Scene,
     Switch,
-    Terminal,
     assemble,
-    gradient,
-    simulate,
 )
-from ancfdae.errors import AncfdaeError, ManyStepsWarning
 from ancfdae.extend import Observable
 from ancfdae.observables import (
     custom,
@@ -63,24 +50,19 @@ from ancfdae.observables import (
 from ancfdae.results import EventSolution
 from ancfdae.sections import Rectangle
 from ancfdae.sensitivity.observables.observable import states_of
-from validation.events.minimal import Array
+from validation.random_runs import RandomRun, tally
 
 # Seconds of the processor after which a scene counts as one that hangs.
 _PATIENCE = 60
 # Negative gaps and gained energy up to this part of their sizes are errors of the steps.
 _ROUND_OFF, _GAINED, _APART, _LOST = 1e-8, 1e-2, 1e-7, 1e-15
-# Derivatives of a height in m below this are compared with this.
-_NOTHING = 1e-6
 
 
-class _TooLong(Exception):
-    """A scene that takes too long."""
-
-
-class _Scene:
+class _Scene(RandomRun):
     """A random scene: its model, events and modes, and what its gaps are."""
 
     def __init__(self, seed: int) -> None:
+        super().__init__()
         self.rng = rng = np.random.default_rng([38, seed])
         # Numbers of their own, so that the rest of a scene does not change with them.
         self.rough = np.random.default_rng([39, seed])
@@ -96,7 +78,8 @@ class _Scene:
         self.events: list[Any] = [self._impact(k, gap, points) for k, gap in enumerate(self.gaps)]
         self.events += [self._odd(k, points) for k in range(int(rng.integers(0, 3)))]
         rng.shuffle(self.events)
-        self.modes = {"other": Mode(self.other, self.events[: int(rng.integers(0, 3))])}
+        modes = {"other": Mode(self.other, self.events[: int(rng.integers(0, 3))])}
+        self.given = {"events": self.events, "modes": modes}
         self.t_end = float(rng.choice([1e-6, 0.3, 1.0, 1.0, 3.0]))
         step = self.t_end / float(rng.choice([5, 20, 40]))
         self.integrator = [HHT(step), HHT(rtol=1e-4), Radau(step), Radau(rtol=1e-6), DOP853(1e-7)][
@@ -180,118 +163,42 @@ class _Scene:
             return EndEvent(function, direction, f"end {k}")
         return Switch(function, str(rng.choice(["other", "start"])), direction, f"switch {k}")
 
-    def run(self) -> EventSolution:
-        """Return the run."""
-        return simulate(
-            self.model, self.t_end, self.integrator, events=self.events, modes=self.modes
-        )
-
-    def gradient(self, method: Any) -> Array:
-        """Return the gradient of the height of the first point."""
-        objective = Terminal(custom(lambda t, q, v, lam, b: q[:, 1], "height"))
-        found = gradient(
-            self.model, objective, self.t_end, self.integrator, design=self.design,
-            method=method, events=self.events, modes=self.modes,
-        )  # fmt: skip
-        return found.gradient
-
-
-def outcome(seed: int) -> tuple[str, str]:
-    """Return how a scene ended, one word or two, and what is wrong with that, or nothing."""
-    try:
-        scene = _Scene(seed)
-        run = scene.run()
-    except AncfdaeError as error:
-        return f"refused: {type(error).__name__}", "" if len(str(error)) > 20 else str(error)
-    if not run.outcome.success:
-        return run.outcome.verdict.name.lower(), ""
-    wrong = _wrong(scene, run)
-    if wrong:
-        return "finished", wrong
-    try:
-        direct = scene.gradient(DirectDifferentiation())
-        if isinstance(scene.integrator, DOP853):
-            return "finished, gradient", "" if np.all(np.isfinite(direct)) else "NaN in a gradient"
-        other = scene.gradient(Adjoint())
-    except AncfdaeError as error:
-        return f"finished, gradient refused: {type(error).__name__}", ""
-    apart = np.max(np.abs(direct - other)) / max(np.max(np.abs(direct)), _NOTHING)
-    # Derivatives after a phase have the round-off of coordinates over the distance moved in it.
-    moved = min(float(np.max(np.abs(phase.q[-1] - phase.q[0]))) for phase in run.phases)
-    limit = max(_APART, _LOST * float(np.max(np.abs(run.q))) / (moved or np.inf))
-    # NaN is not within the limit.
-    return "finished, gradient", "" if apart <= limit else f"methods apart by {apart:.1e}"
-
-
-def _wrong(scene: _Scene, run: EventSolution) -> str:
-    """Return the condition that a finished run violates, in words, or an empty text."""
-    if not (np.all(np.isfinite(run.q)) and np.all(np.isfinite(run.v))):
-        return "states that are not finite"
-    modes = {event.mode for event in run.events}
-    if "other" in modes:
-        # Another mode may have no impacts, and its joints take energy.
+    def wrong(self, run: EventSolution) -> str:
+        """Return which gap is negative, or what energy the run gains, or an empty text."""
+        modes = {event.mode for event in run.events}
+        if "other" in modes:
+            # Another mode may have no impacts, and its joints take energy.
+            return ""
+        system = assemble(self.model)
+        for k, gap in enumerate(self.gaps):
+            for phase in run.phases:
+                g = gap.value(system, states_of(phase))
+                if np.min(g) < -_ROUND_OFF * (np.max(np.abs(g)) + np.max(np.abs(phase.q))):
+                    return f"gap {k} of {np.min(g):.1e}"
+        if not self.adds_energy:
+            ends = run.phases[0], run.phases[-1]
+            kinetic, total = (
+                [
+                    float(x.value(system, states_of(phase))[k])
+                    for phase, k in zip(ends, (0, -1), strict=True)
+                ]
+                for x in (
+                    kinetic_energy(),
+                    kinetic_energy() + gravitational_energy() + strain_energy(),
+                )
+            )
+            if total[1] - total[0] > _GAINED * (max(kinetic) + abs(total[0])):
+                return f"energy of {total[1]:.3g} after {total[0]:.3g}"
         return ""
-    system = assemble(scene.model)
-    for k, gap in enumerate(scene.gaps):
-        for phase in run.phases:
-            g = gap.value(system, states_of(phase))
-            if np.min(g) < -_ROUND_OFF * (np.max(np.abs(g)) + np.max(np.abs(phase.q))):
-                return f"gap {k} of {np.min(g):.1e}"
-    if not scene.adds_energy:
-        ends = run.phases[0], run.phases[-1]
-        kinetic, total = (
-            [
-                float(x.value(system, states_of(phase))[k])
-                for phase, k in zip(ends, (0, -1), strict=True)
-            ]
-            for x in (kinetic_energy(), kinetic_energy() + gravitational_energy() + strain_energy())
-        )
-        if total[1] - total[0] > _GAINED * (max(kinetic) + abs(total[0])):
-            return f"energy of {total[1]:.3g} after {total[0]:.3g}"
-    return ""
 
+    def apart(self, run: EventSolution) -> float:
+        """Return the largest difference of two methods, relative to the derivatives.
 
-def _give_up(signum: int, frame: FrameType | None) -> None:
-    raise _TooLong
-
-
-def tally(
-    outcome: Callable[[int], tuple[str, str]], patience: float, count: int, first: int = 0
-) -> int:
-    """Run scenes, print what is wrong and how many ended how; return the number of wrong ones.
-
-    `outcome` takes a seed, and returns how the scene ended and what is wrong with that. A scene
-    that takes more than `patience`, s of the processor, counts as one that hangs. Ctrl-C ends
-    early, with the numbers up to there.
-    """
-    signal.signal(signal.SIGPROF, _give_up)
-    ends, wrong = Counter[str](), 0
-    for seed in range(first, first + count):
-        signal.setitimer(signal.ITIMER_PROF, patience)
-        try:
-            with warnings.catch_warnings(record=True) as told, np.errstate(all="ignore"):
-                warnings.simplefilter("default")
-                end, bad = outcome(seed)
-        except KeyboardInterrupt:
-            break
-        except _TooLong:
-            end, bad = "too long", f"no end after {patience} s"
-            if any(issubclass(x.category, ManyStepsWarning) for x in told):
-                end, bad = "long, with a warning", ""
-        except Exception as error:  # noqa: BLE001  # whatever is no error of the package is wrong
-            end, bad = "other error", f"{type(error).__name__}: {error}"
-        finally:
-            signal.setitimer(signal.ITIMER_PROF, 0)
-        ends[end] += 1
-        if bad:
-            wrong += 1
-            sys.stdout.write(f"seed {seed}: {end}: {bad}\n")
-            sys.stdout.flush()
-    for end, number in ends.most_common():
-        sys.stdout.write(f"{number:6d} {end}\n")
-    sys.stdout.write(f"{ends.total()} scenes, {wrong} wrong\n")
-    return wrong
+        Derivatives after a phase have the round-off of coordinates over the distance moved in it.
+        """
+        moved = min(float(np.max(np.abs(phase.q[-1] - phase.q[0]))) for phase in run.phases)
+        return max(_APART, _LOST * float(np.max(np.abs(run.q))) / (moved or np.inf))
 
 
 if __name__ == "__main__":
-    sys.exit(tally(outcome, _PATIENCE, *map(int, sys.argv[1:])) > 0)
+    sys.exit(tally(_Scene, _PATIENCE, *map(int, sys.argv[1:])) > 0)

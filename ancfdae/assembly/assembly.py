@@ -26,16 +26,14 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.closing import SOFT, Closing, Declared, Matrix, Unknowns
+from ancfdae.assembly.closing import SOFT, Closing, Declared, LeastNorm, Matrix, Unknowns
 from ancfdae.assembly.constraints import JointConstraints
+from ancfdae.assembly.geometry import Reference
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
-from ancfdae.assembly.reference import Reference
-from ancfdae.assembly.rigid_motions import RigidMotions
 from ancfdae.errors.kinds import InconsistentStartError
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.least_norm import LeastNorm
 from ancfdae.numerics.patterns import SparsityPattern
 
 _ITERATIONS = 60
@@ -76,15 +74,7 @@ class Assembly:
     @cached_property
     def _rates(self) -> Closing:
         """Equations of velocities, in which bodies that lead may also have angular velocities."""
-        return replace(self.closing, free=np.ones(self._motions.none.shape, dtype=bool))
-
-    @property
-    def _declared(self) -> Declared:
-        return self.closing.declared
-
-    @property
-    def _motions(self) -> RigidMotions:
-        return self.closing.motions
+        return replace(self.closing, free=np.ones(self.closing.motions.none.shape, dtype=bool))
 
     # -- the start -----------------------------------------------------------------------------
 
@@ -92,16 +82,16 @@ class Assembly:
     def q(self) -> Array:
         """Coordinates of the assembled start, shape (n_q,); m, slopes dimensionless."""
         if self._stands:
-            return self._declared.Z.ravel()
-        return self.closing.placed(self._declared, self._positions[0])
+            return self.closing.declared.Z.ravel()
+        return self.closing.placed(self.closing.declared, self._positions[0])
 
     @cached_property
     def v(self) -> Array:
         """Velocities of the assembled start, shape (n_q,); m/s, slopes 1/s."""
         if self._stands:
-            return self._declared.velocities(self.q, self._motions.none)
+            return self.closing.declared.velocities(self.q, self.closing.motions.none)
         motion = self.closing.motion(self._positions[0])
-        return self._moving(self._declared, motion, self.q, self._velocities[0])
+        return self._moving(self.closing.declared, motion, self.q, self._velocities[0])
 
     def along(self, moved: Declared) -> tuple[Array, Array]:
         """Return design derivatives of q and v, (n_q,) each, from the imaginary step in `moved`."""
@@ -146,7 +136,7 @@ class Assembly:
             return y
         if not self.moves:
             # The real part stays as declared; only the imaginary perturbation is solved for.
-            F = self.closing.at(self._declared, y)
+            F = self.closing.at(self.closing.declared, y)
             return _plus(y, -1j * LeastNorm(self.closing.matrix_at(y)).solve(F.imag))
         nearest = self._search(True) if self._soft else self._nearest
         if nearest is not None and (self._soft or self._fits(nearest)):
@@ -181,12 +171,15 @@ class Assembly:
 
     def _nearer(self, x: Array) -> Array:
         """Return x after damped Gauss-Newton steps towards closed joints, far from a solution."""
-        none, Z = np.zeros(0), self._declared.Z.real
+        none, Z = np.zeros(0), self.closing.declared.Z.real
         for _ in range(_DAMPED_STEPS):
             motion = self.closing.motion(x)
-            q, T = self._motions.place(Z, motion).ravel(), self._motions.tangent(Z, motion)
+            q, T = (
+                self.closing.motions.place(Z, motion).ravel(),
+                self.closing.motions.tangent(Z, motion),
+            )
             matrix = self.closing.matrix(self.closing.jacobian(q, T), [self.closing.flat])
-            F = self.closing.at(self._declared, (x, none, none)).real
+            F = self.closing.at(self.closing.declared, (x, none, none)).real
             dx = -LeastNorm(matrix).solve(F - SOFT * x)
             turn = np.max(np.abs(dx[~self.closing.shift]), initial=0.0)
             x = x + dx * min(1.0, _LONGEST_TURN / max(turn, _LONGEST_TURN))
@@ -194,8 +187,11 @@ class Assembly:
 
     def _fits(self, y: Unknowns) -> bool:
         """Whether joints are closed, and no driven angle is off by half a turn."""
-        q = self.closing.placed(self._declared, y[0])
-        return self._open(y[0]) <= _CLOSED and self._declared.constraints.opposite(q, 0.0) is None
+        q = self.closing.placed(self.closing.declared, y[0])
+        return (
+            self._open(y[0]) <= _CLOSED
+            and self.closing.declared.constraints.opposite(q, 0.0) is None
+        )
 
     def _turned(self, y: Unknowns) -> float:
         return float(np.sum(y[0].real[~self.closing.shift] ** 2))
@@ -203,7 +199,7 @@ class Assembly:
     @property
     def _stands(self) -> bool:
         """Whether the start is exactly as declared."""
-        declared = self._declared
+        declared = self.closing.declared
         moved = np.iscomplexobj(declared.Z) or declared.constraints.is_complex
         return not (moved or self.moves)
 
@@ -223,7 +219,7 @@ class Assembly:
         """Return the unknowns that Newton's method converges to; None if it does not converge."""
         y, settled = self.closing.start(soft) if start is None else start, 0
         for _ in range(_ITERATIONS):
-            F = self.closing.at(self._declared, y)
+            F = self.closing.at(self.closing.declared, y)
             dy = -LeastNorm(self.closing.matrix_at(y)).solve(F)
             dx = np.abs(dy[: len(y[0])].real)
             size, turn = np.max(dx, initial=0.0), np.max(dx[~self.closing.shift], initial=0.0)
@@ -252,7 +248,7 @@ class Assembly:
     @cached_property
     def _velocities(self) -> Unknowns:
         y = self._rates.start(self._soft_rates)
-        declared, motion, q = self._declared, self.closing.motion(self._positions[0]), self.q
+        declared, motion, q = self.closing.declared, self.closing.motion(self._positions[0]), self.q
         if self._stands:
             return y
         for _ in range(3 if q.dtype.kind == "c" else 1):
@@ -273,11 +269,11 @@ class Assembly:
         """
         if not (self.moves and self.strains):
             return False
-        constraints, x = self._declared.constraints, self._positions[0].real
+        constraints, x = self.closing.declared.constraints, self._positions[0].real
         q, none = self.q.real, self._rates.start(False)
-        v = self._moving(self._declared, self.closing.motion(x), q, none[0]).real
-        rate = self._rates.left(self._declared, q, v).real
-        F = self._rates.equations(self._declared, q, self._rigid(q), none, rate).real
+        v = self._moving(self.closing.declared, self.closing.motion(x), q, none[0]).real
+        rate = self._rates.left(self.closing.declared, q, v).real
+        F = self._rates.equations(self.closing.declared, q, self._rigid(q), none, rate).real
         s = -LeastNorm(self._velocity_matrix(3)).solve(F)[: len(none[0])]
         J = self._rates.jacobian(q, self._rigid(q))
         B = np.abs(constraints.constraint_q(0.0, q).real)
@@ -301,18 +297,20 @@ class Assembly:
     def _moving(self, declared: Declared, motion: Array, q: Array, s: Array) -> Array:
         """Return the declared velocities plus rigid motions of the bodies at rates s, (n_q,)."""
         v = declared.velocities(q, motion)
-        return v + self._motions.velocities(self._rigid(q), self._rates.motion(s))
+        return v + self.closing.motions.velocities(self._rigid(q), self._rates.motion(s))
 
     def _rigid(self, q: Array) -> Array:
         """Return the velocities of unit rigid motions of all bodies at q."""
-        return self._motions.tangent(q.reshape(self._declared.Z.shape), self._motions.none)
+        return self.closing.motions.tangent(
+            q.reshape(self.closing.declared.Z.shape), self.closing.motions.none
+        )
 
     # -- what stays open -----------------------------------------------------------------------
 
     def _gaps(self, x: Array) -> Array:
         """Return each joint equation's residual over the size of the bodies, after motions x."""
-        q = self.closing.placed(self._declared, x)
-        return np.asarray(np.abs(self.closing.all_left(self._declared, q).real))
+        q = self.closing.placed(self.closing.declared, x)
+        return np.asarray(np.abs(self.closing.all_left(self.closing.declared, q).real))
 
     def _open(self, x: Array) -> float:
         return float(np.max(self._gaps(x), initial=0.0))
@@ -325,7 +323,7 @@ class Assembly:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the joints of all constraint equations, one per equation."""
-        joints = self._declared.constraints.structure.joints
+        joints = self.closing.declared.constraints.structure.joints
         return tuple(joint.name for joint in joints for _ in range(joint.rows))
 
     def require_closed(self) -> None:
@@ -388,27 +386,31 @@ class AssembledStart:
 
     @cached_property
     def state(self) -> tuple[Array, Array]:
-        """Coordinates q and velocities v of the start, shape (n_q,) each.
+        """Coordinates q and velocities v of the start, shape (n_q,) each: as declared, or closed.
 
-        Raises InconsistentStartError if joints stay open that `project_start` does not close.
+        Raises InconsistentStartError if joints stay open that `project_start` does not close, or if
+        a driven section starts half a turn off its angle, where the driver's equation holds, too.
         """
-        if self._stands:
-            q = self.reference.Z.ravel()
-            v = self.reference.velocities(q, None)
-        else:
+        Z, joints = self.reference.Z, self.joints
+        if self._moves or np.iscomplexobj(Z) or joints.is_complex:
             q, v = self._closed()
-        self.joints.refuse_opposite(q, 0.0)
+        else:
+            q = Z.ravel()
+            v = self.reference.velocities(q, None)
+        opposite = joints.opposite(q, 0.0)
+        if opposite is not None:
+            raise InconsistentStartError(
+                f"joint {opposite!r}",
+                "the section must start at the angle of the law",
+                "one that points the other way",
+                "Add pi to the offset of the law, or declare the body turned to that angle.",
+            )
         return q, v
 
     @property
     def _moves(self) -> bool:
         """Whether bodies move to close joints: if asked to, or if the design displaces them."""
         return self.scene.assemble or self.scene.project_start or self.displaced
-
-    @property
-    def _stands(self) -> bool:
-        """Whether the start is exactly as declared."""
-        return not (self._moves or np.iscomplexobj(self.reference.Z) or self.joints.is_complex)
 
     def _closed(self) -> tuple[Array, Array]:
         assembly = self._assembly
@@ -428,9 +430,22 @@ class AssembledStart:
 
     @cached_property
     def along(self) -> dict[int, tuple[Array, Array]]:
-        """Derivatives of q and v, (n_q,) each, by index of the variables that move them."""
-        active = sorted({*self.reference.active, *self.joints.active})
-        return {i: self._follow(i) for i in active}
+        """Derivatives of the assembled q and v, (n_q,) each, by index of the moving variables.
+
+        Raises InconsistentStartError if rigid motions cannot keep all joints closed, unless
+        `project_start` lets bodies strain.
+        """
+        derivatives = {}
+        for i in sorted({*self.reference.active, *self.joints.active}):
+            declared = self._declared(i)
+            along = self._assembly.along(declared)
+            joint = self._assembly.follows(declared, along[0], float(self.b[i].real))
+            if joint is not None and self.scene.project_start:
+                along = self._assembly.strained_along(declared)
+            else:
+                self._require_followed(joint, self.mapping.names[i])
+            derivatives[i] = along
+        return derivatives
 
     def state_b(self) -> tuple[Array, Array]:
         """Return the design derivatives of q and v, shape (n_q, n_b) each."""
@@ -470,20 +485,6 @@ class AssembledStart:
         if i is not None:
             joints, reference = joints.moved(i), reference.moved(i)
         return Declared(joints, reference.Z, reference.velocities)
-
-    def _follow(self, i: int) -> tuple[Array, Array]:
-        """Differentiate the assembled q and v with respect to design variable i; (n_q,) each.
-
-        Raises InconsistentStartError if rigid motions cannot keep all joints closed, unless
-        `project_start` lets bodies strain.
-        """
-        declared = self._declared(i)
-        along = self._assembly.along(declared)
-        joint = self._assembly.follows(declared, along[0], float(self.b[i].real))
-        if joint is not None and self.scene.project_start:
-            return self._assembly.strained_along(declared)
-        self._require_followed(joint, self.mapping.names[i])
-        return along
 
     @staticmethod
     def _require_followed(joint: str | None, variable: str) -> None:

@@ -250,22 +250,18 @@ class BeamSections:
 
     def forces_in(self, beam: str, element: int, xi: float) -> SectionForces:
         """Return the evaluator of the section forces at xi of an element of a beam."""
-        nodes, count = self._acted_on(beam), self._layout.beam(beam).element_count
-        smooth = element not in nodes, element + 1 not in nodes
-        first = max(element - smooth[0], 0)
-        run = slice(first, min(element + 1 + smooth[1], count))
-        place = SectionPlace(element - first, xi, smooth)
-        return SectionForces(self._elements(beam, run), place)
-
-    def _acted_on(self, beam: str) -> set[int]:
-        """Return the nodes at or next to which joints, loads or masses act."""
-        scene, nodes = self._scene, set()
+        # Nodes at or next to which joints, loads or masses act.
+        scene, nodes = self._scene, set[int]()
         for part in (*scene.joints, *scene.loads, *scene.point_masses):
             for point in part.points:
                 if point.beam == beam:
-                    element, xi = self._locate(point)
-                    nodes |= {element + (xi == 1.0), element + (xi > 0.0)}
-        return nodes
+                    near, at = self._locate(point)
+                    nodes |= {near + (at == 1.0), near + (at > 0.0)}
+        smooth = element not in nodes, element + 1 not in nodes
+        first = max(element - smooth[0], 0)
+        run = slice(first, min(element + 1 + smooth[1], self._layout.beam(beam).element_count))
+        place = SectionPlace(element - first, xi, smooth)
+        return SectionForces(self._elements(beam, run), place)
 
     def _locate(self, point: MaterialPoint) -> tuple[int, float]:
         return self._layout.beam(point.beam).locate(point.fraction, point.before)

@@ -1,7 +1,7 @@
 """Constraints of all joints at once, with their dependence on time and on the design.
 
 With the point vectors U = L q of all joints they are polynomials in U, or formulas recorded as
-lists of operations (`assembly/joint_formulas.py`); compiled kernels evaluate both.
+lists of operations (`assembly/joint_input.py`); compiled kernels evaluate both.
 docs/theory/03-joints-and-loads.md lists the derived quantities.
 """
 
@@ -15,10 +15,8 @@ from typing import final
 import numpy as np
 
 from ancfdae.assembly.joint_structure import JointStructure, Slot
-from ancfdae.errors.kinds import InconsistentStartError
 from ancfdae.kernels import ConstraintPlan, Constraints
 from ancfdae.numerics.arrays import STEP, Array, only
-from ancfdae.numerics.patterns import SparsityPattern
 
 _ORDERS = 4
 # Number of times whose factors are cached; the start and the checks of a run use four.
@@ -74,17 +72,24 @@ class JointFactors:
     def _table(self, t: Array, orders: int) -> Array:
         """Return the cached table of `over`, or of `by_turn` if `orders` is 0; (orders, k, n)."""
         key = t.tobytes(), orders
-        table = self._tables.get(key)
-        if table is None:
-            table = self._over(t, orders) if orders else self._by_turn(t)
-            if len(self._tables) >= _KEPT:
-                self._tables = {}
-            if len(t) <= _FEW:
-                self._tables[key] = table
+        if key in self._tables:
+            return self._tables[key]
+        if orders:
+            table = self._over(t, orders)
+        else:
+            each = [slot.item.joint.by_turn(slot.item.p, t).T for slot in self._slots]
+            table = np.concatenate([np.zeros((len(t), 1)), *each], axis=1)[None]
+        if len(self._tables) >= _KEPT:
+            self._tables = {}
+        if len(t) <= _FEW:
+            self._tables[key] = table
         return table
 
     def _over(self, t: Array, orders: int) -> Array:
-        each = [[slot.item.factors(t, order).T for order in range(orders)] for slot in self._slots]
+        each = [
+            [slot.item.joint.factors(slot.item.p, t, order).T for order in range(orders)]
+            for slot in self._slots
+        ]
         still = np.zeros((orders, len(t), 1))
         still[0] = 1.0
         return np.concatenate([still, *(np.array(x) for x in each)], axis=2)
@@ -103,13 +108,10 @@ class JointFactors:
         """Return derivatives of the time factors in prescribed angles at t, (1, k, n_parts)."""
         return self._table(t, 0)
 
-    def _by_turn(self, t: Array) -> Array:
-        each = [slot.item.by_turn(t).T for slot in self._slots]
-        return np.concatenate([np.zeros((len(t), 1)), *each], axis=1)[None]
-
     def turn_rate(self, t: Array) -> Array:
         """Return the largest rate of a prescribed angle at times t, shape (k,); rad/s."""
-        rates = [np.abs(slot.item.turn_rate(t)) for slot in self._slots]
+        items = [slot.item for slot in self._slots]
+        rates = [np.abs(item.joint.turn_rate(item.p, t)) for item in items]
         return np.max([np.zeros(len(t)), *rates], axis=0)
 
     def partials(self, t: Array, orders: int, n_b: int) -> Array | None:
@@ -122,23 +124,43 @@ class JointFactors:
             for i in np.flatnonzero(np.any(slot.item.p_b, axis=0)).tolist():
                 moved = slot.item.moved(i)
                 for order in range(orders):
-                    slopes = moved.factors(t, order).imag.T / STEP
+                    slopes = moved.joint.factors(moved.p, t, order).imag.T / STEP
                     result[i, order, :, slot.parts] = slopes
         return result
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class JointPartials:
-    """Design partials of joint coefficients and of L (U = L q), for each variable and joint."""
+class JointConstraints:
+    """Constraints Phi(q, t) = 0 of all joints, with their time and design derivatives.
+
+    Arrays of states have time as leading axis, (k, n_q); methods for a single time say so.
+    """
 
     structure: JointStructure
-    factors: JointFactors
+    # of int: indices of the structure's couplings among the values of the system's pattern.
+    curved: Array
+    n_curved: int  # number of these values
     n_b: int
 
+    # -- structure -----------------------------------------------------------------------------
+
     @cached_property
-    def arrays(self) -> tuple[Array, ...]:
-        """Design partials as arrays for the kernel: variable, number, first, part, entry, value."""
+    def plan(self) -> ConstraintPlan:
+        """Data of the constraints as arrays for the compiled kernels."""
+        return self.structure.plan(self.curved, self.n_curved)
+
+    @cached_property
+    def factors(self) -> JointFactors:
+        """Factors of time of the driven joints."""
+        return JointFactors(self.structure.slots)
+
+    @cached_property
+    def _partials(self) -> tuple[Array, ...]:
+        """Design partials of the coefficients and of L, as the kernel takes them.
+
+        The arrays are variable, number of the joint, first, part, entry and value.
+        """
         numbers, variable, first, changes = [], [0], [0], [(np.zeros(0, dtype=np.int64),) * 3]
         for i in range(self.n_b):
             for number, change in self._reached(i):
@@ -149,11 +171,6 @@ class JointPartials:
         part, entry, value = (np.concatenate(x) for x in zip(*changes, strict=True))
         indices = (np.asarray(x, np.int32) for x in (variable, numbers, first, part, entry))
         return *indices, value.real.astype(float)
-
-    @cached_property
-    def active(self) -> list[int]:
-        """Design variables that constraints depend on at fixed q."""
-        return np.flatnonzero(np.diff(self.arrays[0])).tolist()
 
     def _reached(self, i: int) -> list[tuple[int, tuple[Array, Array, Array]]]:
         """Return the joints that design variable i changes: index, parts, entries and values."""
@@ -176,89 +193,23 @@ class JointPartials:
                 reached.append((number, (part, at, value)))
         return reached
 
-    def contract(self, on_l: Array, on_c: Array, t: Array) -> Array:
-        """Return design partials, (n_b,), from gradients in entries of L and in coefficients.
-
-        `on_l` has the shape (k, n_l), `on_c` (k, orders, n_c) for the orders of time derivatives.
-        """
-        orders, structure = on_c.shape[1], self.structure
-        variable, _, first, part, entry, value = self.arrays
-        on_parts = np.einsum("koc,okp->pc", on_c, self.factors.spread(t, orders))
-        of_l = entry < on_l.shape[1]
-        on_entries = np.where(
-            of_l,
-            np.sum(on_l, axis=0)[np.where(of_l, entry, 0)] if on_l.size else 0.0,
-            on_parts[part, np.where(of_l, 0, entry - on_l.shape[1])] if on_parts.size else 0.0,
-        )
-        owner = np.repeat(np.arange(self.n_b), first[variable[1:]] - first[variable[:-1]])
-        result = np.bincount(owner, value * on_entries, self.n_b)
-        factors_b = self.factors.partials(t, orders, self.n_b)
-        if factors_b is None:
-            return result
-        _, at, parts, moving = structure.moving()
-        on_factors = np.zeros((factors_b.shape[-1], len(t), orders))
-        np.add.at(on_factors, parts, np.moveaxis(on_c[..., at] * moving, -1, 0))
-        return np.asarray(result + np.einsum("bokp,pko->b", factors_b, on_factors))
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class JointConstraints:
-    """Constraints Phi(q, t) = 0 of all joints, with their time and design derivatives.
-
-    Arrays of states have time as leading axis, (k, n_q); methods for a single time say so.
-    """
-
-    structure: JointStructure
-    # of int: indices of the structure's couplings among the values of the system's pattern.
-    curved: Array
-    n_curved: int  # number of these values
-    n_b: int
-
-    @staticmethod
-    def on(pattern: SparsityPattern, structure: JointStructure, n_b: int) -> JointConstraints:
-        """Return the constraints for a pattern of the tangents that holds their couplings."""
-        curved = pattern.index(*structure.couplings)
-        return JointConstraints(structure, curved, pattern.size, n_b)
-
-    # -- structure -----------------------------------------------------------------------------
-
-    @cached_property
-    def plan(self) -> ConstraintPlan:
-        """Data of the constraints as arrays for the compiled kernels."""
-        return self.structure.plan(self.curved, self.n_curved)
-
-    @cached_property
-    def factors(self) -> JointFactors:
-        """Factors of time of the driven joints."""
-        return JointFactors(self.structure.slots)
-
-    @cached_property
-    def _partials(self) -> JointPartials:
-        return JointPartials(self.structure, self.factors, self.n_b)
-
     @property
     def linear(self) -> bool:
         """Whether all equations are linear in the coordinates."""
         return len(self.structure.couplings[0]) == 0
 
     @cached_property
-    def _tangent(self) -> Array | None:
+    def tangent(self) -> Array | None:
         """Values of Phi_q if they are the same at all states and times; otherwise None."""
         if self.factors.driven or not self.linear:
             return None
         none = np.zeros(self.structure.vectors.n_q)
         return self.plan.evaluate(Constraints.VALUES, self.factors.at(0.0), None, none)
 
-    @property
+    @cached_property
     def active(self) -> list[int]:
         """Design variables that constraints depend on at fixed q."""
-        return self._partials.active
-
-    @property
-    def constant(self) -> bool:
-        """Whether the constraints are linear and the same at all times and designs."""
-        return self._tangent is not None and not self.active
+        return np.flatnonzero(np.diff(self._partials[0])).tolist()
 
     @property
     def is_complex(self) -> bool:
@@ -269,20 +220,6 @@ class JointConstraints:
         """Return the constraints with design variable i perturbed by an imaginary step."""
         return replace(self, structure=self.structure.moved(i)) if i in self.active else self
 
-    def refuse_opposite(self, q: Array, t: float) -> None:
-        """Raise InconsistentStartError if a driven section starts half a turn off its angle.
-
-        The equation of the driver holds there as well.
-        """
-        name = self.opposite(q, t)
-        if name is not None:
-            raise InconsistentStartError(
-                f"joint {name!r}",
-                "the section must start at the angle of the law",
-                "one that points the other way",
-                "Add pi to the offset of the law, or declare the body turned to that angle.",
-            )
-
     def opposite(self, q: Array, t: float) -> str | None:
         """Return the name of a driven joint that is half a turn off its angle; None without one."""
         U = only(self.structure.vectors.of(q[None])).real
@@ -292,11 +229,6 @@ class JointConstraints:
             if not item.joint.faces(p, reference, U[slot.vectors], t):
                 return item.joint.name
         return None
-
-    @property
-    def turns(self) -> bool:
-        """Whether one of the joints prescribes an angle."""
-        return self.factors.turns
 
     def by_turn(self, q: Array, t: Array) -> Array:
         """Return the derivatives of Phi in prescribed angles at times t, shape (k, n_lam)."""
@@ -312,8 +244,8 @@ class JointConstraints:
 
     def constraint_q(self, t: float, *motion: Array) -> Array:
         """Return the values of Phi_q, or of its time derivative, on its sparsity pattern."""
-        if self._tangent is not None and len(motion) == 1:
-            return self._tangent
+        if self.tangent is not None and len(motion) == 1:
+            return self.tangent
         factors = self.factors.at(t, len(motion))
         return self.plan.evaluate(Constraints.VALUES, factors, None, *motion)
 
@@ -340,8 +272,8 @@ class JointConstraints:
 
     def constraints_q(self, t: Array, *motion: Array) -> Array:
         """Return the values of Phi_q, or of its time derivative, at times t, shape (k, nnz)."""
-        if self._tangent is not None and len(motion) == 1:
-            return np.repeat(self._tangent[None], len(t), axis=0)
+        if self.tangent is not None and len(motion) == 1:
+            return np.repeat(self.tangent[None], len(t), axis=0)
         factors = self.factors.over(t, len(motion))
         return self.plan.evaluate(Constraints.VALUES, factors, None, *motion)
 
@@ -363,9 +295,7 @@ class JointConstraints:
         factors, at_rest = self.factors.over(t, 2), (q, np.zeros_like(q))
         on_q = self.plan.evaluate(Constraints.FORCE, factors, lam, *at_rest)
         factors_b = self.factors.partials(t, 2, self.n_b)
-        rows = self.plan.totals(
-            self._partials.arrays, factors, factors_b, None, None, at_rest, None
-        )
+        rows = self.plan.totals(self._partials, factors, factors_b, None, None, at_rest, None)
         return on_q, self._by_time(q, t), np.einsum("kbn,kn->kb", rows, lam)
 
     def _by_time(self, q: Array, t: Array) -> Array:
@@ -411,9 +341,27 @@ class JointConstraints:
         """Return d/db of weights . Phi, or of its rate, summed over times, by an imaginary step."""
         if not self.active:
             return np.zeros(self.n_b)
-        factors = self.factors.over(t, len(motion))
-        on_l, on_c = self.plan.gradient(factors, weights, *motion)
-        return self._partials.contract(on_l.imag / STEP, on_c.imag / STEP, t)
+        orders, structure = len(motion), self.structure
+        # Gradients in entries of L, (k, n_l), and in coefficients for each order, (k, orders, n_c).
+        gradients = self.plan.gradient(self.factors.over(t, orders), weights, *motion)
+        on_l, on_c = (x.imag / STEP for x in gradients)
+        variable, _, first, part, entry, value = self._partials
+        on_parts = np.einsum("koc,okp->pc", on_c, self.factors.spread(t, orders))
+        of_l = entry < on_l.shape[1]
+        on_entries = np.where(
+            of_l,
+            np.sum(on_l, axis=0)[np.where(of_l, entry, 0)] if on_l.size else 0.0,
+            on_parts[part, np.where(of_l, 0, entry - on_l.shape[1])] if on_parts.size else 0.0,
+        )
+        owner = np.repeat(np.arange(self.n_b), first[variable[1:]] - first[variable[:-1]])
+        result = np.bincount(owner, value * on_entries, self.n_b)
+        factors_b = self.factors.partials(t, orders, self.n_b)
+        if factors_b is None:
+            return result
+        _, at, parts, moving = structure.moving()
+        on_factors = np.zeros((factors_b.shape[-1], len(t), orders))
+        np.add.at(on_factors, parts, np.moveaxis(on_c[..., at] * moving, -1, 0))
+        return np.asarray(result + np.einsum("bokp,pko->b", factors_b, on_factors))
 
     def total(
         self,
@@ -448,7 +396,5 @@ class JointConstraints:
             return np.zeros((len(t), n, self.n_b))
         factors = self.factors.spread(t, orders)
         factors_b = self.factors.partials(t, orders, self.n_b)
-        total = self.plan.totals(
-            self._partials.arrays, factors, factors_b, lam, lam_b, motion, motion_b
-        )
+        total = self.plan.totals(self._partials, factors, factors_b, lam, lam_b, motion, motion_b)
         return np.swapaxes(total, 1, 2)

@@ -1,7 +1,24 @@
-"""Elastic and internal damping forces of all flexible elements, with design derivatives."""
+"""Elastic and internal damping forces of all flexible elements, with design derivatives.
+
+With the invariant A and the packed Gram matrix g of the relative node vectors Y
+(docs/theory/02-strain-energy.md):
+
+    U = 1/2 dg^T A dg,   dg = g(Y) - g_o,
+    force   = W(p) Y,    p = A (dg + tau g'),   g' = dg/dt     (eqs. 13, 17)
+    tangent = W(p) (x) I_d + G(Y)^T A (G(Y) + tau G(V))        (eq. 19)
+    damping tangent = tau G(Y)^T A G(Y),        G(Y) = dg/dY
+
+Forces and tangents are computed in `ancfdae.kernels`. tau is the retardation time of Kelvin-Voigt
+damping, stress = C (E + tau E').
+
+Y and V have shape (..., n, n_y, d): leading axes are times. A has shape (n, n_g, n_g), or (1, n_g,
+n_g) when all elements share it. Cables have bending energy in addition, whose stress and second
+partials in g are added to p and A (`cable`).
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import final
@@ -12,7 +29,7 @@ from ancfdae.assembly.block import ElementBlock
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.kernels import Block, strain, stressed
-from ancfdae.model.elements import cable, elastic
+from ancfdae.model.elements import cable
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import SparsityPattern
 
@@ -184,12 +201,12 @@ class ElasticForces:
     def energies(self, q: Array) -> Array:
         """Return the strain energy of every element, shape (k, n); J."""
         block = self._block
-        return elastic.energy(block.A, block.g_o, self.relative(q), block.bending)
+        return strain_energy(block.A, block.g_o, self.relative(q), block.bending)
 
     def energy_q(self, q: Array, chosen: Array) -> Array:
         """Return the gradient of the strain energy of the chosen elements, shape (k, n_q)."""
         block, Y = self._block, self.relative(q)
-        p = elastic.apply_invariant(block.A, strain(block.g_o, Y, None, None))
+        p = apply_invariant(block.A, strain(block.g_o, Y, None, None))
         F = stressed(p * chosen[:, None], Y)
         if block.bending is not None:
             F = F + chosen[:, None, None] * cable.curvature_forces(block.bending, Y)
@@ -201,7 +218,7 @@ class ElasticForces:
         Y, its = self.relative(q), block.partials
         dg = strain(block.g_o, Y, None, None)[:, pairs]
         # d(1/2 dg^T A dg) = 1/2 dg^T A_b dg - dg^T c_b.
-        per_pair = np.sum(dg * (0.5 * elastic.apply_invariant(its.A_b, dg) - its.c_b), axis=2)
+        per_pair = np.sum(dg * (0.5 * apply_invariant(its.A_b, dg) - its.c_b), axis=2)
         if block.bending is not None:
             bending = np.broadcast_to(block.bending, (len(self._places.vectors), 2))[pairs]
             change = its.rest_b[:, -2:]
@@ -209,3 +226,27 @@ class ElasticForces:
         result = np.zeros((len(q), self._n_b), dtype=per_pair.dtype)
         np.add.at(result.T, self._pair_variable[: self._stiff], (per_pair * chosen[pairs]).T)
         return result
+
+
+def apply_invariant(A: Array, x: Array) -> Array:
+    """Return A x for each element: A of shape (n or 1, n_g, n_g), x of shape (..., n, n_g)."""
+    product: Array
+    if x.dtype.kind == "c" and A.dtype.kind != "c":
+        # One after the other, so that A is not copied.
+        product = apply_invariant(A, x.real) + 1j * apply_invariant(A, x.imag)
+    elif len(A) == 1:
+        product = x @ A[0]
+    elif x.ndim == 2:
+        product = np.matmul(A, x[..., None])[..., 0]
+    else:
+        # A is symmetric; one product per element for all times instead of one for each.
+        instants = x.reshape(math.prod(x.shape[:-2]), *x.shape[-2:]).swapaxes(0, 1)
+        product = np.matmul(instants, A).swapaxes(0, 1).reshape(x.shape)
+    return product
+
+
+def strain_energy(A: Array, g_o: Array, Y: Array, bending: Array | None = None) -> Array:
+    """Return the strain energy of each element, (..., n), J, from invariants A and g_o."""
+    dg = strain(g_o, Y, None, None)
+    U = np.asarray(np.sum(dg * (0.5 * apply_invariant(A, dg)), axis=-1))
+    return U if bending is None else U + cable.energy(bending, Y)

@@ -14,6 +14,7 @@ import numpy as np
 
 from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.elastic_forces import ElasticForces
+from ancfdae.assembly.geometry import PartInputs
 from ancfdae.assembly.inertia import Inertia
 from ancfdae.assembly.joint_input import JointInput
 from ancfdae.assembly.joint_structure import JointStructure
@@ -21,11 +22,9 @@ from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.load_forces import LoadInput
 from ancfdae.assembly.naming import Vectors
 from ancfdae.assembly.numbering import Numbering
-from ancfdae.assembly.part_inputs import PartInputs
 from ancfdae.errors.checks import named, require_index
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.model.joints.formula_joint import FormulaJoint
-from ancfdae.model.joints.joint import Joint
+from ancfdae.model.joints.joint import FormulaJoint, Joint
 from ancfdae.model.laws.law import Law, require_law
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import STEP, Array
@@ -43,7 +42,8 @@ class JointWork:
         alone = replace(item, dropped=tuple(range(moving, len(c.offset))))
         structure = JointStructure.of([alone], vectors)
         pattern = SparsityPattern((vectors.n_q, vectors.n_q), *structure.couplings)
-        self._constraints = JointConstraints.on(pattern, structure, vectors.n_b)
+        curved = pattern.index(*structure.couplings)
+        self._constraints = JointConstraints(structure, curved, pattern.size, vectors.n_b)
         self.rows = slice(first_row, first_row + moving)
 
     def value(self, t: Array, q: Array, lam: Array) -> Array:

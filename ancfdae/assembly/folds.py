@@ -119,8 +119,14 @@ class Folds:
             folded[rows] = group.folded(Z)
         if not folded.any():
             return ""
-        beams = zip(self._names, np.split(folded, self._first[1:-1]), strict=True)
-        return "; ".join(_in_words(name, own) for name, own in beams if own.any())
+        texts = []
+        for name, own in zip(self._names, np.split(folded, self._first[1:-1]), strict=True):
+            places = np.flatnonzero(own)
+            if len(places):
+                numbers = [*map(str, 1 + places[:_NAMED])]
+                some = listed(numbers + ["others"] * (len(places) > _NAMED))
+                texts.append(f"{name!r}, element{'s' if len(places) > 1 else ''} {some}")
+        return "; ".join(texts)
 
     def coarse(self, q: Array) -> dict[str, float]:
         """Return eta, by name, of the beams that have too few elements at coordinates q."""
@@ -138,13 +144,6 @@ class Folds:
         for own, _, group in self._groups:
             values[own] = measure(group, Z)
         return {self._names[k]: float(values[k]) for k in np.flatnonzero(values > limit)}
-
-
-def _in_words(name: str, folded: Array) -> str:
-    """Return a text naming the folded elements of a beam."""
-    places = np.flatnonzero(folded)
-    some = listed([*map(str, 1 + places[:_NAMED])] + ["others"] * (len(places) > _NAMED))
-    return f"{name!r}, element{'s' if len(places) > 1 else ''} {some}"
 
 
 @final

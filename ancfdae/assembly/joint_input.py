@@ -1,59 +1,24 @@
-"""The numeric data of one joint, and the right angles of sections that joints keep."""
+"""The numeric data of one joint, and the equations of a `FormulaJoint` as lists of operations.
+
+Such equations are called once, with symbols for the vectors U and the inputs z: parameters,
+reference vectors and values of laws. `kernels/constraint_plan.h` says which lists follow from
+Phi(U, z).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.layout import Layout
-from ancfdae.errors.checks import require_index
-from ancfdae.model.elements import Quantity
-from ancfdae.model.joints.formula_joint import FormulaJoint
-from ancfdae.model.joints.joint import Joint, JointEquations, RightAngle
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.kernels import OperationList
+from ancfdae.model.joints.joint import FormulaJoint, Joint, JointEquations
 from ancfdae.numerics.arrays import STEP, Array
-
-_FLAT = frozenset((Quantity.SLOPE_Y, Quantity.SLOPE_Z))
-# Fraction of the element length within which two locations count as one.
-_NEAR = 1e-6
-
-
-@final
-class HeldAngles:
-    """The right angles of sections that joints keep so far.
-
-    Slopes of a section are linear along an element, and so is the change of its right angle: two
-    sections of an element fix it in every other one. Bodies in `rigid` keep their shape by
-    themselves; elements without a section have no right angle.
-    """
-
-    def __init__(self, layout: Layout, rigid: Container[str] = ()) -> None:
-        self._layout, self._rigid = layout, rigid
-        self._named: set[RightAngle] = set()
-        self._flat: dict[str, Array] = {}
-
-    def add(self, angle: RightAngle) -> bool:
-        """Add a right angle of a section; return whether it needs an equation."""
-        if angle.fraction is None or angle.beam in self._rigid or angle in self._named:
-            return False
-        beam = self._layout.beam(angle.beam)
-        if Quantity.SLOPE_Y not in beam.element.quantities:
-            return False
-        self._named.add(angle)
-        if angle.slopes != _FLAT:
-            return True
-        element, xi = beam.locate(angle.fraction, angle.before)
-        weights = np.zeros((1, beam.element_count + 1))
-        weights[0, element], weights[0, element + 1] = 1 - xi, xi
-        held = self._flat.get(angle.beam, weights[:0])
-        both = np.vstack([held, weights])
-        if np.linalg.matrix_rank(both, tol=_NEAR) == len(held):
-            return False
-        self._flat[angle.beam] = both
-        return True
+from ancfdae.numerics.operations import TRACE_FAILURES, Operations, Traced, told
 
 
 @final
@@ -118,33 +83,6 @@ class JointInput:
             inputs[1:, count - laws :] = np.eye(laws)
         return inputs
 
-    def factors(self, t: Array, order: int) -> Array:
-        """Return the factors of time, or a time derivative of them, shape (n_factors, k)."""
-        return self.joint.factors(self.p, t, order)
-
-    def by_turn(self, t: Array) -> Array:
-        """Return the derivatives of the factors in a prescribed angle, shape (n_factors, k)."""
-        return self.joint.by_turn(self.p, t)
-
-    def turn_rate(self, t: Array) -> Array:
-        """Return the rate of a prescribed angle at times t, shape (k,); rad/s."""
-        return self.joint.turn_rate(self.p, t)
-
-    def shaped(self, held: HeldAngles, left_out: Sequence[int] = ()) -> JointInput:
-        """Return the joint without right angles that are kept already, and without `left_out`."""
-        c = self.parts[0]
-        shapes = enumerate(c.shapes, len(c.offset) - len(c.shapes))
-        dropped = [row for row, angle in shapes if not held.add(angle)]
-        for row in left_out:
-            require_index(
-                f"Scene.left_out, equation of {self.joint.name!r}",
-                row,
-                len(c.offset),
-                "Counted from 0.",
-            )
-        dropped = sorted({*dropped, *left_out})
-        return replace(self, dropped=tuple(dropped)) if dropped else self
-
     @property
     def active(self) -> set[int]:
         """Design variables on which the coefficients may depend."""
@@ -163,9 +101,159 @@ class JointInput:
         p = self.p * (1 + 1j * STEP) + 1j * STEP * np.sqrt(1.0 + np.arange(len(self.p)))
         reference = self.reference + 1j * STEP * sum(self.reference_b.values())
         parts = [*self.parts, *replace(self, p=p, reference=reference).parts]
-
-        def size(x: Sequence[Array]) -> Array:
-            return np.asarray(sum(np.abs(part.real) + np.abs(part.imag) for part in x))
-
-        linear, bilinear = size([c.linear for c in parts]), size([c.bilinear for c in parts])
+        linear, bilinear = (
+            np.asarray(sum(np.abs(x.real) + np.abs(x.imag) for x in coefficients))
+            for coefficients in ([c.linear for c in parts], [c.bilinear for c in parts])
+        )
         return JointEquations(linear, bilinear, parts[0].offset)
+
+
+# Orders of time derivatives of Phi and Phi_U, and of Phi_z and the curvature.
+_ORDERS, _FIRST_ORDERS = 4, 2
+# Relative change of design values (absolute for zeros) under which a formula must stay the same.
+_OTHER = 2.0**-20
+# Largest difference between a list and the formula, relative to the largest term.
+_SAME = 1e-9
+
+
+@final
+class FormulaTrace:
+    """Recorder of the equations of one joint as operations; inputs are U, z, rates, and lam."""
+
+    def __init__(self, item: JointInput) -> None:
+        joint = item.joint
+        assert isinstance(joint, FormulaJoint)
+        self._joint, self._item, self._n_u = joint, item, item.reference.size
+        self._size, self._rows = (
+            self._n_u + item.input_count,
+            joint.row_count(item.reference.shape[1]),
+        )
+        ahead = _ORDERS * self._size
+        self._operations = Operations(ahead + self._rows)
+        self._states = np.arange(ahead).reshape(_ORDERS, self._size)
+        self._lam = ahead + np.arange(self._rows)
+        # Parameters and vectors of the reference have no rates.
+        moving = np.r_[: self._n_u, self._size - len(joint.laws) : self._size]
+        self._motion = {
+            int(x): int(rate)
+            for before, after in pairwise(self._states[:, moving])
+            for x, rate in zip(before, after, strict=True)
+        }
+
+    def lists(self) -> tuple[OperationList, ...]:
+        """Return the lists of Phi, Phi_U, Phi_z and (Phi_U^T lam)_U, with time derivatives."""
+        n, Phi = self._n_u, self._numbers(self._joint)
+        self._require_parameters(Phi)
+        by_all = self._by(Phi, self._states[0])
+        gradient = Traced.numbers(
+            self._operations, self._traced(self._lam) @ self._traced(by_all[:, :n])
+        )
+        curvature = self._by(gradient, self._states[0, :n])
+        # Symmetric to the last bit.
+        lower = np.tril_indices(n)
+        curvature[lower] = curvature.T[lower]
+        made = [
+            *self._rates(Phi, _ORDERS),
+            *self._rates(by_all[:, :n], _ORDERS),
+            *self._rates(by_all[:, n:], _FIRST_ORDERS),
+            *self._rates(curvature, _FIRST_ORDERS, lam=True),
+        ]
+        self._require_the_same(made[0])
+        return tuple(made)
+
+    def _rates(self, values: Array, orders: int, lam: bool = False) -> list[OperationList]:
+        """Return the lists of `values` and of their time derivatives up to orders - 1."""
+        made, more = list[OperationList](), self._lam.tolist() if lam else []
+        for order in range(orders):
+            inputs = self._states[: order + 1].ravel().tolist() + more
+            made.append(self._operations.compiled(values.ravel(), inputs))
+            if order + 1 < orders:
+                values = self._operations.along(values, self._motion)[0]
+        return made
+
+    def _by(self, values: Array, inputs: Array) -> Array:
+        """Return operations for partials of `values` in `inputs`, (len(values), len(inputs))."""
+        zero = self._operations.constant(0.0)
+        each = (self._operations.partials(x) for x in values.tolist())
+        rows = [[partials.get(x, zero) for x in inputs.tolist()] for partials in each]
+        return np.array(rows, dtype=np.int64).reshape(len(values), len(inputs))
+
+    def _numbers(self, joint: FormulaJoint) -> Array:
+        """Return the recorded operations of the equations of a joint, shape (n_rows,)."""
+        reference, (U, z) = self._item.reference, self._parts(self._traced(self._states[0]))
+        n_p, where = len(self._item.p), f"equations of joint {joint.name!r}"
+        parts = z[:n_p], z[n_p : n_p + self._n_u].reshape(reference.shape), z[n_p + self._n_u :]
+        try:
+            found = joint.equations(U, *parts)
+            numbers = Traced.numbers(self._operations, found).ravel()
+        except InvalidInputError:
+            raise
+        except TRACE_FAILURES as error:
+            raise InvalidInputError(
+                where,
+                "must be smooth functions of NumPy, which are called with symbols",
+                f"code that cannot be: {told(error)}".rstrip("."),
+                "Call what needs numbers as an ExternalFunction.",
+            ) from error
+        if len(numbers) != self._rows:
+            rule = f"must be as many as `equation_count`, {self._rows}"
+            repair = "Set `equation_count` of the class."
+            raise InvalidInputError(where, rule, len(numbers), repair)
+        return numbers
+
+    def _parts(self, state: Array) -> tuple[Array, Array]:
+        """Return the vectors U, (n_vectors, d), and the inputs z of a state."""
+        return state[: self._n_u].reshape(self._item.reference.shape), state[self._n_u :]
+
+    def _traced(self, numbers: Array) -> Array:
+        return Traced.array(self._operations, numbers)
+
+    def _require_parameters(self, Phi: Array) -> None:
+        """Raise InvalidInputError for equations that read design fields of the joint itself.
+
+        These would keep their values when the design changes. Also for equations that differ from
+        call to call.
+        """
+        joint = self._joint
+        if not np.array_equal(self._numbers(joint), Phi):
+            raise self._no_function("other equations at the second call")
+        moved = {x: y + _OTHER * (abs(y) or 1.0) for x, y in joint.parameters().items()}
+        try:
+            other = joint.with_parameters(moved)
+        except InvalidInputError:
+            return  # The joint does not admit these values.
+        if not np.array_equal(self._numbers(other), Phi):
+            raise InvalidInputError(
+                f"equations of joint {joint.name!r}",
+                "must take the values of design fields from p and `laws`",
+                "equations that change with fields of the joint at the same p",
+                "Write, for example, `radius, _ = self.split(p)`.",
+            )
+
+    def _require_the_same(self, Phi: OperationList) -> None:
+        """Raise InvalidInputError if recorded equations and direct calls give different values."""
+        item, joint = self._item, self._joint
+        p, reference, laws = (
+            item.p.real,
+            item.reference.real,
+            item.joint.factors(item.p, np.zeros(1), 0).real,
+        )
+        with np.errstate(all="ignore"):
+            called = joint.equations(reference.copy(), p.copy(), reference.copy(), laws[:, 0])
+        state = np.concatenate([reference.ravel(), p, reference.ravel(), laws[:, 0]])
+        listed, called = Phi.values(state), np.ravel(np.asarray(called, dtype=float))
+        beside = Phi.values(state * (1 + _OTHER))
+        known = np.isfinite(called) & np.isfinite(beside)
+        # Equations that hold leave round-off; their size is their change with the state.
+        gap, size = np.abs(listed - called)[known], np.abs(called)[known]
+        size = np.max(np.maximum(size, np.abs(beside[known] - listed[known]) / _OTHER), initial=0.0)
+        if np.any(gap > _SAME * size):
+            got = f"other values for numbers than for symbols, by {np.max(gap):.1e}"
+            raise self._no_function(got)
+
+    def _no_function(self, got: str) -> InvalidInputError:
+        where = f"equations of joint {self._joint.name!r}"
+        rule = "must follow from U, p, reference and laws alone"
+        return InvalidInputError(
+            where, rule, got, "Keep no state in the joint, and convert no arguments."
+        )

@@ -14,8 +14,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ancfdae.assembly.joint_formulas import formula_lists
-from ancfdae.assembly.joint_input import JointInput
+from ancfdae.assembly.joint_input import FormulaTrace, JointInput
 from ancfdae.assembly.layout import JointLayout
 from ancfdae.assembly.naming import Vectors
 from ancfdae.kernels import ConstraintPlan, OperationList
@@ -92,9 +91,15 @@ class JointStructure:
         shapes, slots, layouts = list[_Shape](), [], []
         known: dict[object, _Shape] = {}
         for item in inputs:
-            same = None if item.reference_b else known.get(item.kind)
-            shapes.append(same or _shape(item))
-            known[item.kind] = shapes[-1]
+            shape = None if item.reference_b else known.get(item.kind)
+            if shape is None:
+                c, count = item.structure(), item.input_count
+                linear, products = np.nonzero(c.linear), np.nonzero(np.triu(c.bilinear))
+                entries = len(item.reference), len(linear[0]), len(products[0]), len(c.offset)
+                lists = FormulaTrace(item).lists() if count else ()
+                shape = _Shape(linear, products, lists, (*entries, len(item.parts) - 1, count))
+            shapes.append(shape)
+            known[item.kind] = shape
         # The first part is common to all joints.
         begin = np.cumsum([(0, 0, 0, 0, 1, 0), *(shape.sizes for shape in shapes)], axis=0)
         # Linear entries, products, rows, and inputs of formulas.
@@ -181,14 +186,6 @@ class _Shape(NamedTuple):
     sizes: tuple[int, int, int, int, int, int]
 
 
-def _shape(item: JointInput) -> _Shape:
-    c = item.structure()
-    linear, products = np.nonzero(c.linear), np.nonzero(np.triu(c.bilinear))
-    of_coefficients = len(item.reference), len(linear[0]), len(products[0]), len(c.offset)
-    sizes = *of_coefficients, len(item.parts) - 1, item.input_count
-    return _Shape(linear, products, formula_lists(item) if item.input_count else (), sizes)
-
-
 def _placed(
     slots: list[Slot],
     vectors: Vectors,
@@ -222,7 +219,11 @@ def _placed(
     has = np.array([len(slot.lists) > 0 for slot in slots], dtype=bool)
     indices = (table, first, column, *where, *places, np.where(has, np.cumsum(has) - 1, -1))
     coupled = [vectors.couplings(slot.vectors) for slot in slots if slot.lists]
-    left, right = zip(_couplings(vectors, i, j), *coupled, strict=True)
+    # Products L_i^T L_j and their transposes.
+    number, one = _entries(first, (i[:, None] + axes).ravel())
+    pair, other = _entries(first, (j[:, None] + axes).ravel()[number])
+    both = np.stack([column[one[pair]], column[other]], axis=1)
+    left, right = zip((both.ravel(), both[:, ::-1].ravel()), *coupled, strict=True)
     couplings = np.concatenate(left), np.concatenate(right)
     return JointStructure(tuple(slots), vectors, tuple(layouts), indices, pattern, couplings)
 
@@ -256,16 +257,6 @@ def _counted(
     row, i, last = np.concatenate([none, *map(np.array, indices)], axis=1)
     vector, of_row = (np.repeat(begin[:-1, k], np.diff(begin[:, which])) for k in (0, 3))
     return row + of_row, i + vector, last if which == 1 else last + vector
-
-
-def _couplings(vectors: Vectors, i: Array, j: Array) -> tuple[Array, Array]:
-    """Return rows and columns of the products L_i^T L_j and of their transposes."""
-    first, column, axes = vectors.first, vectors.column, np.arange(vectors.d)
-    left, right = ((at[:, None] + axes).ravel() for at in (i, j))
-    number, one = _entries(first, left)
-    pair, other = _entries(first, right[number])
-    both = np.stack([column[one[pair]], column[other]], axis=1)
-    return both.ravel(), both[:, ::-1].ravel()
 
 
 def _entries(first: Array, rows: Array) -> tuple[Array, Array]:

@@ -62,13 +62,6 @@ class BodyLayout:
         ends[kinks - 1, self.stride + Quantity.SLOPE_X] = self.vectors[nodes.size :]
         return ends
 
-    def of_ends(self, nodes: Array) -> Array:
-        """Return the body's vectors, shape (count, d), from vectors of nodes or of element ends."""
-        X = nodes if nodes.ndim == 4 else np.stack([nodes[:-1], nodes[1:]], axis=1)
-        vectors = np.zeros((self.count, X.shape[-1]), dtype=X.dtype)
-        vectors[self.ends - self.first_vector] = X.reshape(*self.ends.shape, -1)
-        return vectors
-
 
 @final
 @dataclass(frozen=True)
@@ -191,14 +184,15 @@ class Layout:
 
     def beam(self, name: str) -> BeamLayout:
         """Return the layout of the beam `name`; UnknownNameError if it is missing."""
-        return self._beams.get(name) or named("beam", name, self.beams)
+        return self.beams_by_name.get(name) or named("beam", name, self.beams)
 
     @cached_property
     def _bodies(self) -> dict[str, BodyLayout]:
         return {body.name: body for body in self.bodies}
 
     @cached_property
-    def _beams(self) -> dict[str, BeamLayout]:
+    def beams_by_name(self) -> dict[str, BeamLayout]:
+        """Layouts of the beams by name."""
         return {beam.name: beam for beam in self.beams}
 
     def joint(self, name: str) -> JointLayout:
@@ -212,10 +206,6 @@ class Layout:
     def slider(self, name: str) -> StatesLayout:
         """Return the coordinate of the sliding joint `name`; UnknownNameError if it is missing."""
         return named("sliding joint", name, self.sliders)
-
-    def own_states(self, name: str) -> StatesLayout:
-        """Return the states of a joint or controller; UnknownNameError if there are none."""
-        return named("joint or controller with states", name, (*self.sliders, *self.controllers))
 
     def plain(self) -> dict[str, Any]:
         """Return the layout as data for JSON, with the names of elements."""

@@ -270,6 +270,9 @@ class LoadForces:
         self._moving = [
             MovingLoad(item, item.plan(pattern)) for item in inputs if not item.load.constant
         ]
+        # Kernel plans of moving loads, and whether each uses velocities.
+        self.plans = tuple((load.plan, load.item.uses_velocity) for load in self._moving)
+        self.touching = [load for load in self._moving if load.item.load.touches]  # contacts
         # Whether a load depends on positions or velocities.
         self.moving = len(self._moving) > 0
         self._steady = np.zeros(self._n_q)
@@ -291,14 +294,6 @@ class LoadForces:
             signals = np.zeros(load.item.factors(np.zeros(1), 0).shape[1] - 1)
             turning = np.concatenate([turning, [float(not load.item.load.elastic)], signals])
         self.turning = turning
-
-    def plans(self) -> tuple[tuple[LoadPlan, bool], ...]:
-        """Return the kernel plans of moving loads, and whether each uses velocities."""
-        return tuple((load.plan, load.item.uses_velocity) for load in self._moving)
-
-    def touching(self) -> list[MovingLoad]:
-        """Return the contact loads of the scene."""
-        return [load for load in self._moving if load.item.load.touches]
 
     def sharp(self) -> list[LoadInput]:
         """Return the loads whose force may change abruptly with positions or velocities."""

@@ -17,7 +17,7 @@ import numpy as np
 from ancfdae.assembly.layout import BeamLayout, BodyLayout, Layout
 from ancfdae.assembly.rigid_motions import motions_in_words
 from ancfdae.equations.naming import Naming
-from ancfdae.errors.checks import require_index
+from ancfdae.errors.checks import named, require_index
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import MaterialPoint, Quantity, require_point
 from ancfdae.model.parts import CentreLine, FrameDirection, LineVector, Normal, StateVector
@@ -74,26 +74,23 @@ class SceneNaming(Naming):
         """Return a vector of a material point as a combination of vectors of its body.
 
         `place` holds the `MaterialPoint.numbers`, (3,), and their design derivatives, (3, n_b), if
-        the design may move the point.
+        the design may move the point; vectors of other points are cached.
 
         Raises UnknownNameError if the scene has no body of that name, InvalidInputError if the
         points of the body do not have the vector.
         """
-        if place is not None:
-            return self._vector(point, quantity, *place)
-        known = self._known.get((point, quantity))
-        if known is None:
-            known = self._vector(point, quantity, *self._place(point))
-            if len(self._known) < _KEPT:
-                self._known[point, quantity] = known
-        return known
-
-    def _vector(
-        self, point: MaterialPoint, quantity: Quantity, numbers: Array, numbers_b: Array
-    ) -> PointVector:
-        body, beam = self.layout.body(point.beam), self._beam(point.beam)
+        if place is None:
+            known = self._known.get((point, quantity))
+            if known is None:
+                numbers = np.array(list(point.numbers().values()))
+                fixed = numbers, np.zeros((len(numbers), self.lengths_b.shape[1]))
+                known = self.vector(point, quantity, fixed)
+                if len(self._known) < _KEPT:
+                    self._known[point, quantity] = known
+            return known
+        (numbers, numbers_b), beam = place, self.layout.beams_by_name.get(point.beam)
         if beam is None:
-            return self._of_body(point, quantity, body, numbers, numbers_b)
+            return self._of_body(point, quantity, self.layout.body(point.beam), *place)
         fraction, y, z = numbers
         along = None if point.fraction is None else float(fraction.real)
         local, at = beam.locate(along, point.before)
@@ -184,7 +181,7 @@ class SceneNaming(Naming):
 
         Shape (k, n_nodes, n_s, d); a rigid body has one node, of d + 1 vectors.
         """
-        body, beam = self.layout.body(name), self._beam(name)
+        body, beam = self.layout.body(name), self.layout.beams_by_name.get(name)
         X = states.reshape(len(states), -1, self.layout.d)[:, body.nodes]
         if beam is None or beam.rigid is None:
             return X
@@ -226,15 +223,10 @@ class SceneNaming(Naming):
 
     def state(self, owner: str, number: int) -> PointVector:
         """Return the vector of a state of a controller or joint, counted from 0."""
-        at = np.array([self.layout.own_states(owner).first_vector + number])
+        with_states = (*self.layout.sliders, *self.layout.controllers)
+        states = named("joint or controller with states", owner, with_states)
+        at = np.array([states.first_vector + number])
         return PointVector(at, np.ones(1), np.zeros((1, self.lengths_b.shape[1])))
-
-    def _beam(self, name: str) -> BeamLayout | None:
-        return next((beam for beam in self.layout.beams if beam.name == name), None)
-
-    def _place(self, point: MaterialPoint) -> tuple[Array, Array]:
-        numbers = np.array(list(point.numbers().values()))
-        return numbers, np.zeros((len(numbers), self.lengths_b.shape[1]))
 
     def _of_body(
         self,
@@ -372,13 +364,6 @@ class Vectors:
     def of(self, q: Array) -> Array:
         """Return the vectors U, shape (k, n_v, d), for rows of q, shape (k, n_q)."""
         return self._L(q).reshape(len(q), self.count, self.d)
-
-    def of_b(self, q: Array) -> Array:
-        """Return the design partial of U at fixed q, shape (k, n_v, d, n_b)."""
-        result = np.zeros((len(q), self.count, self.d, self.n_b), dtype=q.dtype)
-        for i in np.flatnonzero(self.moves):
-            result[..., i] = self.moved(int(i)).of(q.real).imag / STEP
-        return result
 
     def lift(self, F: Array) -> Array:
         """Return the generalised forces L^T F, shape (k, n_q), of forces F, shape (k, n_v, d)."""

@@ -34,26 +34,23 @@ from ancfdae.assembly.assembly import AssembledStart
 from ancfdae.assembly.block import WEIGHTLESS, ElementBlock, ElementForms
 from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.elastic_forces import ElasticForces, ElementPlaces
+from ancfdae.assembly.geometry import Geometry
 from ancfdae.assembly.inertia import (
     Inertia,
     KnownMasses,
     MassBlocks,
     MassPartials,
     MassPlaces,
+    TurningForces,
     of_states,
     other_masses,
 )
 from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.load_forces import LoadForces, LoadInput
-from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbering import Numbering, number
 from ancfdae.assembly.parameters import ParameterMap
-from ancfdae.assembly.part_inputs import PartInputs
-from ancfdae.assembly.reference import Reference
-from ancfdae.assembly.turning import TurningForces
 from ancfdae.model.design import DesignVariable
-from ancfdae.model.elements import ElementParameter
 from ancfdae.model.parts import Elements
 from ancfdae.model.scene import Scene
 from ancfdae.model.scene_design import SCENE
@@ -199,6 +196,12 @@ class Structure:
         """Whether each design variable drives a joint or load, shape (n_b,)."""
         return self.reaches(part.name for part in (*self.scene.joints, *self.scene.loads))
 
+    def reaches_geometry(self, geometry: Geometry) -> Array:
+        """Return which design variables change the reference geometry, bool, (n_b,)."""
+        reached = self.reaches_parts.copy()
+        reached[geometry.reference.active] = True
+        return reached
+
     @cached_property
     def reaches_elements(self) -> Array:
         """Whether each design variable drives flexible elements, shape (n_b,)."""
@@ -211,57 +214,6 @@ class Structure:
         heavy = np.bincount(self.mapping.variables[pairs], minlength=len(self.design)) > 0
         owners = (*self.scene.members, *self.scene.point_masses)
         return heavy | self.reaches([SCENE, *(owner.name for owner in owners)])
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Geometry:
-    """Reference positions of the bodies, and inputs of joints and loads, at one design."""
-
-    naming: SceneNaming
-    reference: Reference
-    inputs: PartInputs
-    joints: JointStructure
-    loads: list[LoadInput]
-
-    @staticmethod
-    def of(
-        elements: Elements,
-        scene: Scene,
-        layout: Layout,
-        numbering: Numbering,
-        mapping: ParameterMap,
-        b: Array,
-    ) -> Geometry:
-        """Return the geometry at design values b, with the structure of joints and loads."""
-        lengths = mapping.values(b)[:, ElementParameter.LENGTH]
-        naming = SceneNaming(layout, lengths, mapping.lengths_b(len(b)))
-        reference = Reference(scene, mapping, b, naming)
-        inputs = PartInputs(scene, numbering, naming, mapping, reference, b, elements)
-        return Geometry(naming, reference, inputs, inputs.joints(), inputs.loads())
-
-    def at(self, b: Array) -> Geometry | None:
-        """Return the geometry at other design values; None if the structure changes.
-
-        It changes if a coefficient that was zero becomes nonzero, or a point comes to another
-        element.
-        """
-        old = self.inputs
-        lengths = old.mapping.values(b)[:, ElementParameter.LENGTH]
-        naming = SceneNaming(self.naming.layout, lengths, self.naming.lengths_b)
-        reference = Reference(old.scene, old.mapping, b, naming)
-        inputs = replace(old, naming=naming, reference=reference, b=b)
-        joints, loads = inputs.joints_like(self.joints), inputs.loads()
-        pairs = zip(loads, self.loads, strict=True)
-        if joints is None or not all(x.vectors.is_like(y.vectors) for x, y in pairs):
-            return None
-        return Geometry(naming, reference, inputs, joints, loads)
-
-    def reached_by(self, structure: Structure) -> Array:
-        """Return which design variables change the reference geometry, bool, (n_b,)."""
-        reached = structure.reaches_parts.copy()
-        reached[self.reference.active] = True
-        return reached
 
 
 @final
@@ -328,7 +280,7 @@ class Numbers:
             return bool(other_kind or (moved & reached).any())
 
         fixed = self.constraints, self.loads, self.start
-        displaced = changes(geometry.reached_by(structure))
+        displaced = changes(structure.reaches_geometry(geometry))
         if displaced:
             changed = geometry.at(b)
             if changed is None:
@@ -349,8 +301,9 @@ def _placed(
 ) -> tuple[JointConstraints, LoadForces, AssembledStart]:
     """Return constraints, loads and start, which depend on the reference geometry."""
     pattern, mapping, n_b = structure.pattern, structure.mapping, len(b)
-    constraints = JointConstraints.on(pattern, geometry.joints, n_b)
-    reached = geometry.reached_by(structure)
+    curved = pattern.index(*geometry.joints.couplings)
+    constraints = JointConstraints(geometry.joints, curved, pattern.size, n_b)
+    reached = structure.reaches_geometry(geometry)
     start = AssembledStart(
         structure.scene,
         structure.numbering,

@@ -1,4 +1,7 @@
-"""Map from design variables to parameters of elements and other parts, with derivatives."""
+"""Map from design variables to parameters of elements and other parts, with derivatives.
+
+A scene admits limited values for each variable, such as E > 0 (`value_limits`).
+"""
 
 from __future__ import annotations
 
@@ -102,7 +105,7 @@ def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMa
 
     Raises UnknownNameError for unknown targets, InvalidInputError for two targets of one number.
     """
-    base, none = scene.element_parameters(), np.zeros(0, dtype=np.int64)
+    base, none = scene.element_parameters, np.zeros(0, dtype=np.int64)
     pairs = [(none, none, none, np.zeros(0), np.zeros(0))]
     owner: dict[tuple[int, int], str] = {}
     slots: dict[str, list[tuple[int, int, float, float]]] = {}
@@ -145,3 +148,40 @@ def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMa
         nominal=np.array([scene.value(variable) for variable in design], dtype=float),
         names=tuple(variable.name for variable in design),
     )
+
+
+# Trial values on one side of zero, over the size of a variable. If a sign is required, every value
+# is rejected; values rejected for another reason, such as two coinciding points, are isolated.
+_BEYOND = (1e-6, 0.37, 1.0, 2.9)
+# Limits of Poisson's ratio, outside which a material has no positive moduli.
+_POISSON = (-1.0, 0.5)
+
+
+def value_limits(scene: Scene, design: tuple[DesignVariable, ...], b: Array) -> tuple[Array, Array]:
+    """Return lower and upper limits of the values b, shape (n_b,); infinite without a limit.
+
+    A limit holds whatever the other variables are: zero for a positive or non-negative parameter,
+    and the limits of Poisson's ratio.
+    """
+    pairs = zip(design, b.tolist(), strict=True)
+    lower, upper = np.transpose([_limits(scene, variable, value) for variable, value in pairs])
+    return lower, upper
+
+
+def _limits(scene: Scene, variable: DesignVariable, value: float) -> tuple[float, float]:
+    parameters = {scene.resolve(text).parameter for text in variable.targets}
+    if "poisson_ratio" in parameters and not variable.shares:
+        return _POISSON
+    size = abs(value) or 1.0
+    negative, positive = (
+        not any(_fits(scene, variable, sign * part * size) for part in _BEYOND) for sign in (-1, 1)
+    )
+    return (0.0 if negative else -np.inf, 0.0 if positive else np.inf)
+
+
+def _fits(scene: Scene, variable: DesignVariable, value: float) -> bool:
+    try:
+        scene.refuse_values({variable: value})
+    except InvalidInputError:
+        return False
+    return True

@@ -12,13 +12,12 @@ from ancfdae.assembly.beam_sections import BeamSections
 from ancfdae.assembly.contact_checks import Groups, RunContacts
 from ancfdae.assembly.energies import Energies, Works
 from ancfdae.assembly.folds import Folds, first_mirrored
+from ancfdae.assembly.geometry import PartInputs
 from ancfdae.assembly.left_out_pairs import LeftOutPairs
 from ancfdae.assembly.load_forces import LoadInput
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbers import Numbers
-from ancfdae.assembly.parameters import parameter_map
-from ancfdae.assembly.part_inputs import PartInputs
-from ancfdae.assembly.value_limits import value_limits
+from ancfdae.assembly.parameters import parameter_map, value_limits
 from ancfdae.equations import (
     DesignPartials,
     Linearisation,
@@ -128,7 +127,8 @@ class AncfSystem(PlannedSystem):
         return SystemProperties(
             constant_mass=True,
             linear_constraints=joints.linear,
-            constant_constraints=joints.constant,
+            # The same at all times and designs.
+            constant_constraints=joints.tangent is not None and not joints.active,
             velocity_forces=damped or turning or self._loads.uses_velocity,
             # Damping of bodies turns with them: -(D(q) v)_q is not symmetric; nor are loads that
             # move, nor gyroscopic forces.
@@ -199,7 +199,7 @@ class AncfSystem(PlannedSystem):
             self.constraint_pattern.rows_of(np.zeros(self.constraint_pattern.size)),
             factors.over if factors.driven else None,
             self._loads.factors,
-            self._loads.plans(),
+            self._loads.plans,
             self._loads.turning,
         )
 
@@ -359,7 +359,7 @@ class AncfSystem(PlannedSystem):
 
         Raises InvalidInputError if a beam that touches itself has too few elements at the start.
         """
-        loads = self._loads.touching()
+        loads = self._loads.touching
         if not loads:
             return None
         groups = Groups.of(self._numbering, self.weights)
@@ -401,7 +401,7 @@ class AncfSystem(PlannedSystem):
 
         There the derivative of its equation in the angle has not the sign that it has at the start.
         """
-        if not self._constraints.turns or np.iscomplexobj(q) or np.iscomplexobj(self.b):
+        if not self._constraints.factors.turns or np.iscomplexobj(q) or np.iscomplexobj(self.b):
             return None
         off = self._constraints.by_turn(q, t) * self._sides < 0
         instants = np.flatnonzero(np.any(off, axis=1))

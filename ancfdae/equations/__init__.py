@@ -1,7 +1,7 @@
 """The base class of mechanical systems, and the solution that a run of one returns.
 
 `system` states the contract: eleven values, and all quantities derived from them. `formula_system`
-derives everything from a user's formulas for M, Q and Phi; `conformance` and `proof` compare every
+derives everything from a user's formulas for M, Q and Phi; `conformance` compares every
 override of a system with the default that it replaces. This package knows no beams and no joints.
 """
 

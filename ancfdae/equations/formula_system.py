@@ -441,6 +441,15 @@ class FormulaSystem(ListedSystem):
         total = self._values(of, rows=self.n_b, t=[t], q=q, v=v, **moved)[0]
         return np.concatenate([self._force(t, q, v)[None], total])
 
+    def over_time(self, t: Array) -> Array:
+        """Return forces and constraints at times t in the state of the start, shape (k, n)."""
+        if self._formulas.called:
+            return super().over_time(t)
+        q, v = self.start()
+        Q = self._values(Formulas.force, rows=len(t), t=t[:, None], q=q, v=v)[0]
+        Phi = self._values(Formulas.constraint, 0, rows=len(t), t=t[:, None], q=q)[0]
+        return np.concatenate([Q, Phi], axis=1)
+
     def constraint(self, t: float, *motion: Array) -> Array:
         """Return Phi, or its time derivative of the order of the rates in `motion`, (n_lam,)."""
         at = self._motion(motion)

@@ -35,7 +35,7 @@ from ancfdae.integrators.step_control import FixedSteps
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.progress import progress_bar
+from ancfdae.numerics.timing import progress_bar
 
 #: Impacts that follow each other within this fraction of the run count as rest.
 REST = 1e-8

@@ -20,18 +20,17 @@ from ancfdae.equations.solution import Solution
 from ancfdae.errors.checks import require_array, require_count
 from ancfdae.errors.kinds import InvalidInputError, SingularMatrix
 from ancfdae.errors.outcomes import RunOutcome, Verdict
-from ancfdae.integrators.integrator import Integrand, QuadratureIntegrator, require_rtol
-from ancfdae.integrators.missed_contacts import refused
-from ancfdae.integrators.pace import Pace
+from ancfdae.integrators.integrator import Integrand, QuadratureIntegrator, refused, require_rtol
 from ancfdae.integrators.prescribed_motion import Watch, is_driven, lock
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.recorder import SolutionRecorder
+from ancfdae.integrators.step_control.steps import Pace
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.numerics.time_grid import TimeGrid, next_end
+from ancfdae.numerics.timing import progress_bar
 
 # A run warns if it expects more steps: DOP853 takes 20 s for these in a small system (5,000 a
 # second).

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self, TypeAlias, final
 
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.contact_record import ContactRecord, MissedContact
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.checks import require_positive
 from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.numerics.arrays import Array
 
 # Weight of the coarse error in the error estimate (DOP853: Hairer, Norsett & Wanner, II.10).
@@ -332,3 +334,25 @@ def require_rtol(where: str, rtol: float, least: float) -> None:
     if not least <= rtol <= 1e-2:
         repair = "For example 1e-6, or 1e-8 for gradients."
         raise InvalidInputError(where, f"must lie in [{least:.0e}, 1e-2]", rtol, repair)
+
+
+def with_contacts(run: Solution, contacts: ContactRecord, whole: bool = True) -> Solution:
+    """Return `run`, with the outcome MISSED_CONTACT if its steps passed over a contact.
+
+    `contacts` records the states of the run, which may be a part of a longer one. Contacts are
+    judged only if the run is `whole`, or the last part.
+    """
+    if not run.outcome.success:
+        return run
+    contacts.follow(run.t, run.q, run.v)
+    return refused(run, contacts.missed() if whole else None)
+
+
+def refused(run: Solution, missed: MissedContact | None) -> Solution:
+    """Return `run` with the outcome that it missed a contact; unchanged if `missed` is None."""
+    if missed is None:
+        return run
+    step = max(int(np.searchsorted(run.t, missed.time, side="right")) - 1, 0) // run.degree
+    verdict, advice = Verdict.MISSED_CONTACT, missed.advice
+    outcome = replace(run.outcome, verdict=verdict, time=missed.time, step=step, advice=advice)
+    return replace(run, outcome=outcome)

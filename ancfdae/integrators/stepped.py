@@ -14,8 +14,7 @@ from ancfdae.equations.solution_parts import Sensitivities
 from ancfdae.errors.checks import require_count, require_positive
 from ancfdae.errors.kinds import InvalidInputError, StabilityWarning
 from ancfdae.errors.outcomes import Verdict
-from ancfdae.integrators.integrator import AdjointIntegrator
-from ancfdae.integrators.missed_contacts import with_contacts
+from ancfdae.integrators.integrator import AdjointIntegrator, with_contacts
 from ancfdae.integrators.problem import InitialValueProblem, Scales
 from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control import (

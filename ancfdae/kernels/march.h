@@ -573,6 +573,48 @@ template <class T> double unbalanced(const Plan<T> *p, const Room<T> *r)
     return size_of<T>(p->n_q, r->R, p->inverse);
 }
 
+/* Errors in the last place of coordinates that a force adds up. */
+constexpr double ROUNDINGS = 8;
+/* Iterations of a step after which the forces at rest are looked at. */
+constexpr Size USUAL = 3;
+
+/* What may remain of R where forces balance each other, as on a body at rest on a spring: the
+ * tolerance times the forces that act, each counted by itself, and the round-off that f_q makes of
+ * errors in the last place of coordinates. Elastic forces have a round-off of their own (`blur`).
+ * Corrections may shrink steadily there without an end: those of q are lost in its last place. */
+template <class T>
+double at_rest(const Plan<T> *of, Room<T> *from, const T *of_loads, double tolerance)
+{
+    auto [p, r, factors] = real_state(of, from, of_loads);
+    std::vector<double> left((size_t)p->n_q), values((size_t)p->nnz);
+    if (p->own)
+        p->own->force(factors[0], r->q, r->v, left.data());
+    else
+        left.assign(p->gravity, p->gravity + p->n_q);
+    for (double &each : left)
+        each = fabs(each);
+    for (Size k = 0; k < p->n_loads; k++)
+        for (Size i = 0; i < p->n_q; i++)
+            left[i] += fabs(factors[k] * p->loads[k * p->n_q + i]);
+    for (Size k = 0; k < p->n_moving; k++)
+        load_sizes<double>(p->moving[k].plan, &p->moving[k].numbers, factors + p->moving[k].factor,
+                           r->q, r->v, r->of_load, left.data());
+    for (double &each : left)
+        each *= tolerance;
+    for (int velocity = 0; velocity <= p->velocity; velocity++) {
+        const double *x = velocity ? r->v : r->q, *f = velocity ? r->f_v : r->f_q;
+        if (!p->own) {
+            std::fill(values.begin(), values.end(), 0.0);
+            load_tangents(p, r, factors, velocity, values.data());
+            f = values.data();
+        }
+        for (Size i = 0; i < p->n_q; i++)
+            for (int32_t e = p->K.first[i]; e < p->K.first[i + 1]; e++)
+                left[i] += ROUNDINGS * DBL_EPSILON * fabs(f[e] * x[p->K.columns[e]]);
+    }
+    return size_of<double>(p->n_q, left.data(), p->inverse);
+}
+
 /* Newton's method for one step from the guess in a and lam, where the solution stands then; whether
  * the residual there is finite comes with it.
  *
@@ -609,15 +651,18 @@ int iterated(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Befo
             motion;
         double rate = last > 0 && last < INFINITY ? fmin(size / last, 1) : size > 0;
         ending->size = size;
-        if (last < INFINITY && size > rules->round_off) {
-            ending->slowest = fmax(ending->slowest, rate);
-            if (rate > how->allowed)
-                return NO_CONVERGENCE;
-        }
         /* Corrections of a fresh matrix are round-off; of stiff bodies far from balance corrections
          * are small too, and forces must balance. */
         int stuck = fresh && rate > 0.5 && size <= rules->round_off &&
                     unbalanced<T>(p, r) <= rules->round_off * now;
+        if (!stuck && i >= USUAL)
+            stuck = unbalanced<T>(p, r) <=
+                    at_rest<T>(p, r, of_loads + AT_END * p->n_factors, rules->tolerance);
+        if (!stuck && last < INFINITY && size > rules->round_off) {
+            ending->slowest = fmax(ending->slowest, rate);
+            if (rate > how->allowed)
+                return NO_CONVERGENCE;
+        }
         /* Quadratic convergence squares the rate again. */
         double left = size * (fresh ? fmin(1, rate * rate) : rate / fmax(1 - rate, 1e-3));
         if (settled || stuck || left <= tolerance || size <= tolerance) {

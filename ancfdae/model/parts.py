@@ -1,4 +1,4 @@
-"""Base class of joints and loads: name, points of bodies, design targets, symbols in pictures."""
+"""Base class of joints and loads: name, points of bodies, design targets, symbols; point masses."""
 
 import abc
 import re
@@ -10,7 +10,13 @@ from typing import Any, ClassVar, Self, TypeAlias, TypeVar, final
 
 import numpy as np
 
-from ancfdae.errors.checks import require_axial, require_kind, require_text, require_vector
+from ancfdae.errors.checks import (
+    require_axial,
+    require_kind,
+    require_positive,
+    require_text,
+    require_vector,
+)
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import BeamBody, MaterialPoint, RigidBody, require_point
 from ancfdae.model.design import Designable
@@ -232,16 +238,6 @@ class Part(Designable, abc.ABC):
         """Points that the part acts on, `point` first."""
         return tuple(self.point_fields().values())
 
-    @property
-    def stands_at(self) -> MaterialPoint | None:
-        """The point at whose reference position the part is fixed to ground by default.
-
-        None if `ground` or `other` is declared, or the part needs neither.
-        """
-        given = self._given()
-        joined = "ground" not in given or given["ground"] is not None or given.get("other")
-        return None if joined else given["point"]
-
     def ground_place(self) -> Sequence[float] | None:
         """Return the declared position on the ground, shape (d,), m; None if undeclared."""
         return self._given().get("ground")
@@ -387,6 +383,38 @@ def reference_place(point: MaterialPoint, member: _Member) -> Array:
 
 
 def on_ground(part: _Any, member: _Member) -> _Any:
-    """Return the part with `ground` declared: by default the reference position of its point."""
-    point = part.stands_at
-    return part if point is None else part.on_ground(reference_place(point, member).tolist())
+    """Return the part with `ground` declared: by default the reference position of its point.
+
+    A part with a second point, or that needs neither, is returned as it is.
+    """
+    given = part._given()
+    if "ground" not in given or given["ground"] is not None or given.get("other"):
+        return part
+    return part.on_ground(reference_place(given["point"], member).tolist())
+
+
+@final
+@dataclass(frozen=True)
+class PointMass(Part):
+    """A point mass on a beam or a rigid body; it has no coordinates of its own.
+
+    With r = L q its position, it adds m L^T L to the mass matrix; gravity acts on it. Design
+    target: ``mass``.
+
+    Parameters
+    ----------
+    point : MaterialPoint
+    mass : float
+        Mass m, positive; kg.
+    """
+
+    point: MaterialPoint
+    mass: float
+
+    role = "body"
+    kind = "mass"
+    design_fields = (("mass", require_positive),)
+
+    def vectors(self, elements: Elements) -> Vectors:
+        """Return the vector that the mass acts on: the position of the point."""
+        return ((self.point, Quantity.POSITION),)

@@ -25,10 +25,9 @@ from ancfdae.model.bodies import (
     require_in_section,
     require_point,
 )
-from ancfdae.model.joints.formula_joint import FormulaJoint
-from ancfdae.model.joints.joint import Joint
+from ancfdae.model.joints.joint import FormulaJoint, Joint
 from ancfdae.model.loads.load import Load
-from ancfdae.model.point_mass import PointMass
+from ancfdae.model.parts import PointMass
 from ancfdae.model.scene_design import SCENE, SceneDesign
 from ancfdae.model.starts import EquilibriumStart, InitialVelocity, NodalState, Start, checked_start
 from ancfdae.model.turning_frame import RotatingFrame, require_frame
@@ -103,7 +102,6 @@ class Scene(SceneDesign):
         for name in ("assemble", "project_start"):
             require_flag(f"Scene.{name}", getattr(self, name))
         self._check_members()
-        self._check_names()
         self._check_parts()
         if self.left_out:
             self._check_left_out()
@@ -121,21 +119,23 @@ class Scene(SceneDesign):
         beams = listed(f"{beam.name} ({beam.element_count} elements)" for beam in self.beams)
         kinds = (self.bodies, self.joints, self.loads)
         bodies, joints, loads = (listed(part.name for part in x) for x in kinds)
-        where = "plane" if self.dimension == 2 else "space"
-        return (
-            f"Scene in the {where}\nbeams: {beams}\nbodies: {bodies}\n"
-            f"joints: {joints}\nloads: {loads}\n"
-            f"gravity: {'none' if self.gravity is None else tuple(self.gravity)}"
-            + ("" if self.frame is None else f"\nin a {self.frame}")
-            + ("" if not self.left_out else f"\nequations left out: {listed(self._left_out())}")
-        )
-
-    def _left_out(self) -> list[str]:
-        """Return the joint equations left out as text, one per joint: ``hinge (3, 4)``."""
-        rows: dict[str, list[str]] = {}
-        for name, row in self.left_out:
-            rows.setdefault(name, []).append(str(row))
-        return [f"{name} ({', '.join(numbers)})" for name, numbers in rows.items()]
+        lines = [
+            f"Scene in the {'plane' if self.dimension == 2 else 'space'}",
+            f"beams: {beams}",
+            f"bodies: {bodies}",
+            f"joints: {joints}",
+            f"loads: {loads}",
+            f"gravity: {'none' if self.gravity is None else tuple(self.gravity)}",
+        ]
+        if self.frame is not None:
+            lines.append(f"in a {self.frame}")
+        if self.left_out:  # One text for each joint: ``hinge (3, 4)``.
+            rows: dict[str, list[str]] = {}
+            for name, row in self.left_out:
+                rows.setdefault(name, []).append(str(row))
+            joined = (f"{name} ({', '.join(numbers)})" for name, numbers in rows.items())
+            lines.append(f"equations left out: {listed(joined)}")
+        return "\n".join(lines)
 
     def at_rest(self) -> Scene | None:
         """Return the scene whose equilibrium is the start of the motion; None without one."""
@@ -159,34 +159,30 @@ class Scene(SceneDesign):
             require_kind(f"Scene.{name}", part, kinds, repair)
         object.__setattr__(self, name, parts)
 
-    def _check_names(self) -> None:
-        """Raise InvalidInputError if two parts share a name, or a body has two starts."""
-        rule, repair = "every part needs a name of its own", "Rename one of the two parts."
-        require_unique("Scene.beams", rule, [beam.name for beam in self.beams], repair)
-        require_unique("Scene.bodies", rule, [body.name for body in self.bodies], repair)
-        require_unique("Scene.joints", rule, [joint.name for joint in self.joints], repair)
-        require_unique("Scene", rule, [part.name for part in self._all_parts()], repair)
-        if SCENE in (part.name for part in self._all_parts()):
-            raise InvalidInputError("Scene", "'scene' names the scene itself", SCENE, repair)
-        rule, repair = "every beam and body starts once", "Keep one of them."
-        require_unique("Scene.start", rule, [start.body for start in self.body_starts], repair)
-
     def _check_members(self) -> None:
+        """Raise InvalidInputError for no body, mixed dimensions, a name or a body's start twice."""
         if not self.members:
             rule, repair = "needs at least one beam or rigid body", "Add a Beam or a RigidBody."
             raise InvalidInputError("Scene.beams and bodies", rule, "none", repair)
         dimensions = {body.name: body.dimension for body in self.members}
         if len(set(dimensions.values())) > 1:
-            raise InvalidInputError(
-                "Scene.beams and bodies",
-                "must be all planar or all spatial",
-                dimensions,
-                "Give all of them points with the same number of components.",
-            )
+            rule = "must be all planar or all spatial"
+            repair = "Give all of them points with the same number of components."
+            raise InvalidInputError("Scene.beams and bodies", rule, dimensions, repair)
+        rule, repair = "every part needs a name of its own", "Rename one of the two parts."
+        for field in ("beams", "bodies", "joints"):
+            names = [part.name for part in getattr(self, field)]
+            require_unique(f"Scene.{field}", rule, names, repair)
+        names = [part.name for part in self._all_parts()]
+        require_unique("Scene", rule, names, repair)
+        if SCENE in names:
+            raise InvalidInputError("Scene", "'scene' names the scene itself", SCENE, repair)
+        rule, repair = "every beam and body starts once", "Keep one of them."
+        require_unique("Scene.start", rule, [start.body for start in self.body_starts], repair)
 
     def _check_parts(self) -> None:
         elements = self.elements
-        for part in self.parts().values():
+        for part in self.parts.values():
             if isinstance(part, RigidBody):
                 continue
             where = f"{part.role} {part.name!r}"

@@ -17,8 +17,15 @@ from ancfdae.model.design import Designable, DesignVariable, Target, parse_targe
 from ancfdae.model.elements import ElementParameter
 from ancfdae.model.joints.joint import Joint
 from ancfdae.model.loads.load import Load
-from ancfdae.model.parts import TARGETS, Elements, Normal, Part, on_ground, reference_place
-from ancfdae.model.point_mass import PointMass
+from ancfdae.model.parts import (
+    TARGETS,
+    Elements,
+    Normal,
+    Part,
+    PointMass,
+    on_ground,
+    reference_place,
+)
 from ancfdae.model.starts import EquilibriumStart, InitialVelocity, NodalState, Start
 from ancfdae.numerics.arrays import Array
 
@@ -109,21 +116,17 @@ class SceneDesign(Designable):
         forces jump.
         """
         fractions: dict[str, set[float]] = {beam.name: set(beam.kinks) for beam in self.beams}
-        for part in self.parts().values():
+        for part in self.parts.values():
             for point in () if isinstance(part, RigidBody) else part.points:
                 if point.fraction is not None:
                     fractions[point.beam].add(point.fraction)
         soft = (beam for beam in self.beams if not beam.rigid and beam.element.can_kink)
         return {beam.name: tuple(sorted(beam.inner_nodes(fractions[beam.name]))) for beam in soft}
 
-    def parts(self) -> dict[str, Part | RigidBody]:
-        """Return bodies, joints and loads (those of the start included) by name."""
-        return self._parts
-
     @cached_property
-    def _parts(self) -> dict[str, Part | RigidBody]:
-        parts = (*self.bodies, *self.joints, *self.loads, *self._rest_loads())
-        return {part.name: part for part in parts}
+    def parts(self) -> dict[str, Part | RigidBody]:
+        """Bodies, joints and loads (those of the start included) by name."""
+        return {x.name: x for x in self._all_parts() if not isinstance(x, BeamBody)}
 
     @cached_property
     def start_of(self) -> dict[str, InitialVelocity | NodalState]:
@@ -132,7 +135,7 @@ class SceneDesign(Designable):
 
     def owners(self) -> tuple[str, ...]:
         """Return the names of all owners of design numbers: beams, bodies, joints, loads, scene."""
-        return (*(beam.name for beam in self.beams), *self.parts(), SCENE)
+        return (*(beam.name for beam in self.beams), *self.parts, SCENE)
 
     def numbers(self, owner: str) -> dict[str, float]:
         """Return the numbers of an owner that can be design targets, by parameter name.
@@ -147,7 +150,7 @@ class SceneDesign(Designable):
         require_text("owner", owner)
         if owner == SCENE:
             return self.parameters()
-        part = self.parts().get(owner)
+        part = self.parts.get(owner)
         if isinstance(part, Part):
             numbers = part.parameters() | part.point_numbers()
             return numbers | on_ground(part, self.member).parameters()
@@ -170,7 +173,7 @@ class SceneDesign(Designable):
             names = [name for beam in beams for name in beam.parameter_names()]
             known = [f"{target.owner}.{name}" for name in (*names, *numbers)]
             raise UnknownNameError("design target", str(target), known)
-        part = self.parts().get(target.owner)
+        part = self.parts.get(target.owner)
         if isinstance(part, Part):
             self._check_point_target(part, target)
         return target
@@ -239,7 +242,7 @@ class SceneDesign(Designable):
             for change in self._changes(key, value):
                 changes_of.setdefault(change[1].owner, []).append(change)
         for owner, changes in changes_of.items():
-            part = self._members.get(owner) or self.parts().get(owner)
+            part = self._members.get(owner) or self.parts.get(owner)
             start = self.start_of.get(owner)
             known = start.parameters() if isinstance(start, InitialVelocity) else ()
             started = any(target.parameter in known for _, target, _ in changes)
@@ -251,7 +254,7 @@ class SceneDesign(Designable):
     @cached_property
     def _off_axis(self) -> set[str]:
         """Names of the beams with points off the axis, which must lie in their sections."""
-        parts = (part for part in self.parts().values() if not isinstance(part, RigidBody))
+        parts = (part for part in self.parts.values() if not isinstance(part, RigidBody))
         points = [point for part in parts for point in part.points]
         points += [body.attached for body in self.members if body.attached is not None]
         return {point.beam for point in points if point.y != 0 or point.z != 0}
@@ -318,7 +321,7 @@ class SceneDesign(Designable):
             first = next(iter(variable.targets))
             return self._single(first) / variable.factor(first)
         values = [value for text in variable.targets for value in self._held(text)]
-        if _differ(values):
+        if max(values) - min(values) > _SAME * max(map(abs, values)):
             raise InvalidInputError(
                 f"design variable {variable.name!r}",
                 "all its targets must hold one and the same value",
@@ -336,7 +339,7 @@ class SceneDesign(Designable):
 
     def _single(self, text: str) -> float:
         held = self._held(text)
-        if _differ(held):
+        if max(held) - min(held) > _SAME * max(map(abs, held)):
             rule = "elements that one variable changes must have one value"
             repair = "Name the elements, as in 'rod.height[2]', or use `distributed_variables`."
             raise InvalidInputError(f"design target {text}", rule, sorted(set(held)), repair)
@@ -351,7 +354,7 @@ class SceneDesign(Designable):
         which = beam.parameter_names()[target.parameter]
         if which is ElementParameter.LENGTH:
             return [float(np.sum(beam.reference().lengths))]
-        return self._element_parameters[rows, which].tolist()
+        return self.element_parameters[rows, which].tolist()
 
     def target_elements(self, target: Target) -> Array:
         """Return the indices, among all elements of the scene, of the elements of a target.
@@ -363,22 +366,19 @@ class SceneDesign(Designable):
         elements = self.first_elements()[beam.name] + np.arange(beam.element_count)
         return elements if target.element is None else elements[[target.element]]
 
-    def element_parameters(self) -> Array:
-        """Return the parameters of all elements, shape (n, 10); columns: `ElementParameter`."""
-        return self._element_parameters.copy()
-
     @cached_property
-    def _element_parameters(self) -> Array:
+    def element_parameters(self) -> Array:
+        """Parameters of all elements, shape (n, 10); columns: `ElementParameter`."""
         rows = [beam.element_parameters() for beam in self.beams]
-        return np.concatenate([np.zeros((0, len(ElementParameter))), *rows])
+        parameters = np.concatenate([np.zeros((0, len(ElementParameter))), *rows])
+        parameters.setflags(write=False)
+        return parameters
 
     def _all_parts(self) -> tuple[_Part, ...]:
-        return (*self.beams, *self.bodies, *self.joints, *self.loads, *self._rest_loads())
-
-    def _rest_loads(self) -> tuple[Load, ...]:
-        """Return the loads of the `EquilibriumStart` that do not act during the motion."""
+        """Return all parts, and loads of `EquilibriumStart` that do not act during the motion."""
         loads = () if self.rest is None else self.rest.loads or ()
-        return tuple(load for load in loads if not any(load is kept for kept in self.loads))
+        resting = [load for load in loads if not any(load is kept for kept in self.loads)]
+        return (*self.beams, *self.bodies, *self.joints, *self.loads, *resting)
 
     def _check_point_target(self, part: Part, target: Target) -> None:
         """Raise InvalidInputError for a point that cannot move both ways or is at a kink."""
@@ -463,10 +463,6 @@ def _in_words_of(changes: list[_Change]) -> Iterator[None]:
         named = [c for c in changes if error.where.endswith(f".{c[1].parameter}")] or changes
         where = ", ".join(dict.fromkeys(change[0] for change in named))
         raise InvalidInputError(where, error.rule, error.got, error.repair) from error
-
-
-def _differ(values: list[float]) -> bool:
-    return max(values) - min(values) > _SAME * max(map(abs, values))
 
 
 _AnyPart = TypeVar("_AnyPart", bound=Part)

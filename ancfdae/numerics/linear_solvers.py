@@ -58,7 +58,9 @@ def little_fill(pattern: SparsityPattern, constraint_pattern: SparsityPattern) -
 
     SuperLU computes it when it factorises a diagonally dominant matrix of this pattern.
     """
-    graph = _graph(pattern, constraint_pattern).astype(float)
+    # The pattern of K + B^T B.
+    K, B = (each.csr(np.ones(each.size, dtype=bool)) for each in (pattern, constraint_pattern))
+    graph = ((K + B.T @ B).tocsr() if B.nnz else K).astype(float)
     # Diagonal pivots need no exchange.
     diagonal = scipy.sparse.diags_array(1.0 + graph.sum(axis=1))
     made_up = (diagonal - 0.5 * graph).tocsc()
@@ -67,12 +69,6 @@ def little_fill(pattern: SparsityPattern, constraint_pattern: SparsityPattern) -
         made_up, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric
     )
     return _with_multipliers(np.argsort(lu.perm_c), constraint_pattern)
-
-
-def _graph(pattern: SparsityPattern, constraint_pattern: SparsityPattern) -> scipy.sparse.csr_array:
-    """Return the pattern of K + B^T B as a sparse matrix of logical values."""
-    K, B = (each.csr(np.ones(each.size, dtype=bool)) for each in (pattern, constraint_pattern))
-    return (K + B.T @ B).tocsr() if B.nnz else K
 
 
 def _with_multipliers(order: Array, constraint_pattern: SparsityPattern) -> Array:
@@ -163,10 +159,20 @@ class SaddlePoint:
         squared = (constraint_values.real * scale[constraint_pattern.columns]) ** 2
         length = np.sqrt(np.bincount(constraint_pattern.rows, squared, minlength=m))
         self.scale = np.concatenate([scale, 1.0 / np.where(length > 0, length, 1.0)])
-        if order is None:
-            self._places = _narrow(*self._patterns)
-        else:
-            self._places = _Places(*self._patterns, order)
+        # The matrices of one system have the same patterns: the pattern of K stores the places for
+        # the last two B. (A dictionary of weak references has callbacks, and Ctrl-C in a callback
+        # is lost.)
+        places = None if order is not None else dict(pattern.beside).get(constraint_pattern)
+        if places is None:
+            # Reverse Cuthill-McKee order, or the order of the scene where its band is narrower.
+            if order is None:
+                narrow = narrow_order(*pattern.places, *constraint_pattern.places)
+            else:
+                narrow = order
+            places = _Places(*self._patterns, narrow)
+            if order is None:
+                pattern.beside = (constraint_pattern, places), *pattern.beside[:1]
+        self._places = places
         self._in_band = order is not None or self._places.half_width <= _BAND_HALF_WIDTH
         self._envelope = self._places.envelope if symmetric and self._in_band else None
         self._symmetric = symmetric
@@ -235,11 +241,13 @@ class SaddlePoint:
 
         Raises SingularMatrix as `factor` does.
         """
-        if self._envelope:
-            factors = _factor_in_envelope(self._envelope, terms, B)
-        else:
-            factors = self._factor_by_fronts(terms, B)
-        return factors or self._exchanging(terms, B)
+        envelope = self._envelope
+        if envelope:
+            lower, failed = envelope.factor(terms, B)
+            if not failed:  # Every pivot has its sign.
+                return Factorization(lambda right, _: envelope.solve(lower, right.T).T)
+            return self._exchanging(terms, B)
+        return self._factor_by_fronts(terms, B) or self._exchanging(terms, B)
 
     def _exchanging(self, terms: Terms, B: Array) -> Factorization:
         """Return a factorisation with row exchanges for K, the sum of `terms`, and B."""
@@ -300,8 +308,21 @@ class _Places:
 
     @cached_property
     def envelope(self) -> Envelope:
-        """Indices of the entries in an envelope."""
-        return _envelope(self.order, self.rows, self.columns, *self._sizes)
+        """Storage for L D L^T of symmetric K: lower triangle, columns up to their ends.
+
+        A column ends with its last entry, but not before the end of the one to its left, so that
+        the factors fit into the same storage. Entries of B^T are left out.
+        """
+        n, n_K, n_B = self._sizes
+        size, lower = len(self.order), self.rows >= self.columns
+        lower[n_K : n_K + n_B], lower[n_K + n_B :] = True, False
+        row, column = self.rows[lower], self.columns[lower]
+        end = np.arange(size)
+        np.maximum.at(end, column, row)
+        starts = np.append(0, np.cumsum(np.maximum.accumulate(end) - np.arange(size) + 1))
+        first, chosen = starts.astype(np.int32), np.flatnonzero(lower[:n_K]).astype(np.int32)
+        signs = np.where(self.order < n, 1.0, -1.0)
+        return Envelope(first, chosen, first[column] + row - column, signs, self.order)
 
     @cached_property
     def fronts(self) -> Fronts:
@@ -328,44 +349,6 @@ class _Places:
         flat = self.columns.astype(np.int64) * (3 * self.half_width)
         flat += 2 * self.half_width + self.rows
         return flat
-
-
-def _narrow(K: SparsityPattern, B: SparsityPattern) -> _Places:
-    """Return the order of the unknowns in a narrow band, and positions of entries in it."""
-    # The matrices of one system have the same patterns: the pattern of K stores the places for the
-    # last two B. (A dictionary of weak references has callbacks, and Ctrl-C in a callback is lost.)
-    known = K.beside
-    for other, places in known:
-        if other is B:
-            return places
-    # Reverse Cuthill-McKee order, or the order of the scene where its band is narrower.
-    places = _Places(K, B, narrow_order(*K.places, *B.places))
-    K.beside = (B, places), *known[:1]
-    return places
-
-
-def _envelope(order: Array, rows: Array, columns: Array, n: int, n_K: int, n_B: int) -> Envelope:
-    """Return the storage for L D L^T of symmetric K: lower triangle, columns up to their ends.
-
-    A column ends with its last entry, but not before the end of the one to its left, so that the
-    factors fit into the same storage. Entries of B^T are left out.
-    """
-    size = len(order)
-    lower = rows >= columns
-    lower[n_K : n_K + n_B], lower[n_K + n_B :] = True, False
-    row, column = rows[lower], columns[lower]
-    end = np.arange(size)
-    np.maximum.at(end, column, row)
-    starts = np.append(0, np.cumsum(np.maximum.accumulate(end) - np.arange(size) + 1))
-    first, chosen = starts.astype(np.int32), np.flatnonzero(lower[:n_K]).astype(np.int32)
-    signs = np.where(order < n, 1.0, -1.0)
-    return Envelope(first, chosen, first[column] + row - column, signs, order)
-
-
-def _factor_in_envelope(envelope: Envelope, terms: Terms, B: Array) -> Factorization | None:
-    """Factorise in an envelope; None if a pivot has a wrong sign."""
-    factors, failed = envelope.factor(terms, B)
-    return None if failed else Factorization(lambda right, _: envelope.solve(factors, right.T).T)
 
 
 def _balanced(scale: Array, n: int, of_B: float) -> Array:

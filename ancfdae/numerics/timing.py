@@ -1,9 +1,13 @@
-"""Processor and wall-clock times of calls; the only module that reads a clock for measurements."""
+"""Clocks and progress bars of long calls; the only module that reads a clock for measurements.
+
+The package tqdm is loaded only when a bar is shown.
+"""
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from typing import TypeVar
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
+from typing import Any, TypeVar, final
 
 _Answer = TypeVar("_Answer")
 
@@ -41,3 +45,20 @@ def medians(calls: Sequence[Callable[[], object]], repeats: int, wall: bool = Fa
     import statistics
 
     return [statistics.median(column) for column in zip(*turns[1:], strict=True)]
+
+
+@final
+class _Hidden(ExitStack):
+    """A progress bar that displays nothing."""
+
+    def update(self, count: float = 1) -> None:
+        """Do nothing: this progress bar is hidden."""
+
+
+def progress_bar(shown: bool, items: Iterable[Any] | None = None, **settings: Any) -> Any:
+    """Return a tqdm bar over items, or with a `total`; if not shown, the items or a dummy bar."""
+    if not shown:
+        return _Hidden() if items is None else items
+    from tqdm import tqdm
+
+    return tqdm(items, **settings)

@@ -7,11 +7,11 @@ from typing import final
 import numpy as np
 
 from ancfdae.assembly.beam_sections import BeamElements, BeamSections
+from ancfdae.assembly.geometry import Reference
 from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbering import number
 from ancfdae.assembly.parameters import ParameterMap, parameter_map
-from ancfdae.assembly.reference import Reference
 from ancfdae.equations import Solution, Statistics
 from ancfdae.errors.checks import require_kind, require_vector
 from ancfdae.errors.kinds import InvalidInputError
@@ -151,7 +151,7 @@ def _naming(scene: Scene) -> SceneNaming:
         numbering.controllers,
         numbering.sliders,
     )
-    lengths = scene.element_parameters()[:, ElementParameter.LENGTH]
+    lengths = scene.element_parameters[:, ElementParameter.LENGTH]
     return SceneNaming(layout, lengths, np.zeros((len(lengths), 0)))
 
 

@@ -11,6 +11,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.assembly.beam_sections import BeamElements, BeamSections, StressPoints
+from ancfdae.assembly.elastic_forces import strain_energy
 from ancfdae.assembly.naming import SceneNaming, Vectors
 from ancfdae.equations import Solution
 from ancfdae.errors.checks import require_text
@@ -24,7 +25,7 @@ from ancfdae.model.bodies import (
     RigidBox,
     RigidCylinder,
 )
-from ancfdae.model.elements import ElementParameter, elastic
+from ancfdae.model.elements import ElementParameter
 from ancfdae.model.elements.continuum import prepare
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.rotations import generators
@@ -326,7 +327,7 @@ class StrainEnergyDensity(_OfBeams):
         assert elements is not None
         law = prepare(elements.element, elements.batch)
         Y = elements.relative(motion.q[:, elements.coordinates])
-        energy = elastic.energy(law.A, law.g_o, Y, law.bending)
+        energy = strain_energy(law.A, law.g_o, Y, law.bending)
         # The mass of an element is the sum of the entries of m for the positions of its two nodes.
         positions = slice(None, None, elements.element.n_s)
         mass = law.m[:, positions, positions].sum(axis=(1, 2))

@@ -74,8 +74,11 @@ class Symbols:
         marks = []
         for joint in self._scene.joints:
             places = self._places(joint.points[0], motion.q)
-            ground = self._ground(joint, places)
-            if ground is not None:
+            if len(joint.points) == 1 and joint.shows_ground:
+                ground = places
+                if joint.stroke is not None:
+                    at = np.asarray(joint.ground_place(), dtype=float)
+                    ground = np.broadcast_to(at, places.shape)
                 marks.append(Mark("ground", GROUND, joint.name, ground))
             marks.append(Mark(joint.kind, joint.sign, joint.name, places))
         return marks + [
@@ -159,14 +162,6 @@ class Symbols:
     def _stations(self, beam: str, q: Array) -> Array:
         fractions = np.linspace(0.0, 1.0, _ALONG).tolist()
         return self._of([(MaterialPoint(beam, x), Quantity.POSITION) for x in fractions], q)
-
-    def _ground(self, joint: Joint, places: Array) -> Array | None:
-        """Return the ground point of a joint, (k, d), m; None for a joint between bodies."""
-        if len(joint.points) > 1 or not joint.shows_ground:
-            return None
-        if joint.stroke is None:
-            return places
-        return np.broadcast_to(np.asarray(joint.ground_place(), dtype=float), places.shape)
 
     def _between(self, part: Joint | Load, motion: Solution) -> Array:
         ends = self._of([(point, Quantity.POSITION) for point in part.points], motion.q)

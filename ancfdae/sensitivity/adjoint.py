@@ -302,7 +302,7 @@ class _Backward:
                 self._node = self._kept.pop(k)
 
     def _forward(self, k: int, hold: bool) -> None:
-        from ancfdae.modes.periods import advised
+        from ancfdae.modes.analysis import advised
 
         first, begin = self._ends[k], self._node
         solution, self._node = self._replay.part(begin, first, self._ends[k + 1])

@@ -40,8 +40,8 @@ from ancfdae.integrators.problem import Accelerations
 from ancfdae.integrators.start import Covectors, consistent_start, pull_back_start
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
+from ancfdae.numerics.timing import progress_bar
 from ancfdae.sensitivity.method import (
     Gradient,
     GradientMethod,

@@ -24,8 +24,7 @@ from ancfdae.errors.checks import require_flag, require_kind
 from ancfdae.errors.kinds import AncfdaeError, InvalidInputError, SingularMatrix, StabilityWarning
 from ancfdae.errors.outcomes import PassFailed, Verdict, uninterrupted
 from ancfdae.errors.text import PrintedTable, TableText
-from ancfdae.integrators.integrator import Integrator, QuadratureIntegrator
-from ancfdae.integrators.missed_contacts import with_contacts
+from ancfdae.integrators.integrator import Integrator, QuadratureIntegrator, with_contacts
 from ancfdae.integrators.prescribed_motion import nearest_to_singular, singular_position
 from ancfdae.integrators.recorder import Rows
 from ancfdae.numerics.arrays import Array
@@ -311,7 +310,7 @@ class Run:
 
     def _advised(self, run: Solution) -> Solution:
         """Return a failed run with hints from its modes; loads the package `modes` only then."""
-        from ancfdae.modes.periods import advised
+        from ancfdae.modes.analysis import advised
 
         return advised(self.system, run)
 

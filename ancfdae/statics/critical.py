@@ -27,8 +27,8 @@ from ancfdae.errors.outcomes import uninterrupted
 from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
+from ancfdae.numerics.timing import progress_bar
 from ancfdae.statics.balance import Balance
 from ancfdae.statics.equilibrium import Equilibrium, Tangent, find_equilibrium, resting
 from ancfdae.statics.held_coordinate import HeldPoint, HeldSystem, stiffness_total

@@ -80,10 +80,6 @@ class HeldPoint:
     @cached_property
     def in_a(self) -> tuple[float, Array]:
         """Second derivatives tau_aa, and tau_ab, (n_b,), of the fixing force tau."""
-        q_b, lam_b = self.paths
-        return self._along_motion(), self._along_paths(q_b, lam_b)
-
-    def _along_motion(self) -> float:
         system, (q_a, lam_a), (y_q, y_lam) = self.system, self.motion, self.left
         rest = np.zeros_like(q_a)
         ahead, states = StateDirection(0.0, q_a, rest), (self.q, rest, rest, self.lam)
@@ -91,11 +87,9 @@ class HeldPoint:
         bent = system.pattern.dot(held_q(system, 0.0, self.q, rest, lam_a), q_a)
         turned = constraint_q_along(system, 0.0, self.q, ahead)
         side = system.constraint_pattern.dot(turned, q_a)
-        return float(on_q @ q_a + 2.0 * (y_q @ bent) + y_lam @ side)
-
-    def _along_paths(self, q_b: Array, lam_b: Array) -> Array:
-        force, side = stiffness_total(self.system, (self.q, self.lam), self.motion, (q_b, lam_b))
-        return np.asarray(self.left[0] @ force + self.left[1] @ side)
+        tau_aa = float(on_q @ q_a + 2.0 * (y_q @ bent) + y_lam @ side)
+        force, side_b = stiffness_total(system, (self.q, self.lam), self.motion, self.paths)
+        return tau_aa, np.asarray(y_q @ force + y_lam @ side_b)
 
     def in_p(self, k: int, begin: float, to: float) -> Array:
         """Return tau_pb, (n_b,), p the design variable k, by differences of five points.

@@ -83,7 +83,9 @@ class LoadPath:
                     verdict, self.residual = attempt.verdict, attempt.residual
                     size = 0.5 * (s - before.s)
                     if size < _LEAST * (max(before.s, _LEAST) if self._fine else 1.0):
-                        return Verdict.LIMIT_POINT if self._ran_away() else verdict
+                        speeds = [self._balance.length(place.q_s) for place in self.places]
+                        ran_away = speeds[-1] > _FASTER * min(speeds)
+                        return Verdict.LIMIT_POINT if ran_away else verdict
                     continue
                 self._balance.work.steps += 1
                 place, iterations = attempt
@@ -134,10 +136,6 @@ class LoadPath:
             return False
         slower = min(length(a.q_s), length(b.q_s))
         return bend > _BEND * length(secant) or length(b.q_s - a.q_s) > slower
-
-    def _ran_away(self) -> bool:
-        speeds = [self._balance.length(place.q_s) for place in self.places]
-        return speeds[-1] > _FASTER * min(speeds)
 
     def _extrapolated(self, s: float) -> tuple[Array, Array]:
         """Return q and lam at s by a cubic through the last two points and their tangents.

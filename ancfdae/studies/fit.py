@@ -29,7 +29,6 @@ from ancfdae.errors.checks import (
 )
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.integrator import Integrator
-from ancfdae.integrators.static import Static
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.modes.result import ModeKind, Modes
@@ -41,6 +40,7 @@ from ancfdae.statics.equilibrium import NoEquilibriumError, find_equilibrium
 from ancfdae.studies.calls import design_bounds, differentiable
 from ancfdae.studies.modes import modes as vibrations
 from ancfdae.studies.responses import Evaluations
+from ancfdae.studies.statics import Static
 
 if TYPE_CHECKING:
     from ancfdae.events.calls import EventRun

@@ -11,7 +11,7 @@ from contextlib import closing, suppress
 from typing import TypeVar, final
 
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.numerics.progress import progress_bar
+from ancfdae.numerics.timing import progress_bar
 
 _Task = TypeVar("_Task")
 _Answer = TypeVar("_Answer")

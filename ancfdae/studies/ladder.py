@@ -27,8 +27,7 @@ from ancfdae.integrators.hht.method import HHT
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.progress import progress_bar
-from ancfdae.numerics.timing import timed
+from ancfdae.numerics.timing import progress_bar, timed
 from ancfdae.sensitivity.method import UnfinishedRunError
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.accuracy.bars import MESH_ORDER, convergence_bars, ratio

@@ -45,14 +45,13 @@ from ancfdae.integrators.start import (
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.model.turning_frame import RotatingFrame
-from ancfdae.modes.analysis import modes_about
+from ancfdae.modes.analysis import StepSuggestion, modes_about, suggestion
 from ancfdae.modes.linearised import EPS, LinearisationPoint
-from ancfdae.modes.periods import StepSuggestion, suggestion
 from ancfdae.modes.result import ModeKind, Modes
 from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
+from ancfdae.numerics.timing import progress_bar
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
 from ancfdae.statics.equilibrium import Equilibrium, NoEquilibriumError, Tangent
 from ancfdae.studies.calls import as_system

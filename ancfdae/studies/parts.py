@@ -13,8 +13,8 @@ from ancfdae.errors.checks import require_array, require_count
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.integrator import Integrator, PartwiseIntegrator
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
+from ancfdae.numerics.timing import progress_bar
 
 # An int k: every k-th step, with the start and the end. A sequence: times whose states are stored.
 Keep: TypeAlias = int | Sequence[float] | Array
@@ -65,7 +65,7 @@ class RunOfParts:
             for first in range(0, last, self._length):
                 end = min(first + self._length, last)
                 part, node = in_one_thread(self._run.part)(node, first, end)
-                from ancfdae.modes.periods import advised
+                from ancfdae.modes.analysis import advised
 
                 part = advised(self._system, part)
                 bar.update(len(part.t) - 1)

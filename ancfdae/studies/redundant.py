@@ -24,13 +24,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from ancfdae.assembly.geometry import Rigidity
 from ancfdae.assembly.joint_structure import JointStructure
-from ancfdae.assembly.part_inputs import Rigidity
 from ancfdae.assembly.system import AncfSystem, assemble
 from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import RedundantConstraintsError
 from ancfdae.errors.text import listed
-from ancfdae.model.joints.formula_joint import FormulaJoint
+from ancfdae.model.joints.joint import FormulaJoint
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 

@@ -44,7 +44,7 @@ from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.progress import progress_bar
+from ancfdae.numerics.timing import progress_bar
 from ancfdae.sensitivity.adjoint import DirectDifferentiation
 from ancfdae.sensitivity.method import GradientMethod, Run
 from ancfdae.sensitivity.objectives import Objective

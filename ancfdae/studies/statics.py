@@ -1,4 +1,8 @@
-"""Static calls: equilibrium, its gradients, and critical loads."""
+"""Static calls: equilibrium, its gradients, and critical loads.
+
+A search for an equilibrium is a run with one time point (`Static`), so that every gradient method
+differentiates it.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,6 +12,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.solution import Solution
 from ancfdae.errors.checks import (
     require_count,
     require_finite,
@@ -17,7 +22,7 @@ from ancfdae.errors.checks import (
 )
 from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.errors.outcomes import uninterrupted
-from ancfdae.integrators.static import Static
+from ancfdae.integrators.integrator import AdjointIntegrator, Integrator, Seeds
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
@@ -27,7 +32,7 @@ from ancfdae.sensitivity.objectives import Objective, ObjectivePartials, Termina
 from ancfdae.sensitivity.objectives.objective import NO_TOTALS, Totals
 from ancfdae.sensitivity.observables.observable import Observable, States
 from ancfdae.statics.critical import CriticalLoad, find_critical
-from ancfdae.statics.equilibrium import MAX_STEPS, Equilibrium, find_equilibrium
+from ancfdae.statics.equilibrium import MAX_STEPS, Equilibrium, Tangent, find_equilibrium
 from ancfdae.studies.calls import as_system, cheapest, differentiable, warn_of_strains
 
 _STEPS = "For example 100."
@@ -275,3 +280,44 @@ def equilibrium_gradient(
             repr(chosen),
         )
     return chosen.gradients(Run(system, 0.0, Static(max_steps)), [objective])[0]
+
+
+@final
+@dataclass(frozen=True)
+class Static(AdjointIntegrator):
+    """An integrator that finds the equilibrium, not a motion; its solution has one time point.
+
+    Parameters
+    ----------
+    max_steps : int
+        Largest number of attempted load steps.
+    """
+
+    max_steps: int = MAX_STEPS
+
+    def refined(self, solution: Solution) -> Integrator:
+        """Raise InvalidInputError: an equilibrium has no error of discretisation in time."""
+        rule = "an equilibrium must have no error bar in time"
+        raise InvalidInputError("Static", rule, repr(self), "Compare meshes: error_bars(meshes=2).")
+
+    def integrate(
+        self,
+        system: MechanicalSystem,
+        t_end: float,
+        *,
+        sensitivities: bool = False,
+        progress: bool = False,
+    ) -> Solution:
+        """Return the equilibrium at t = 0 as a solution; `t_end` and `progress` are ignored."""
+        return find_equilibrium(
+            system, max_steps=self.max_steps, sensitivities=sensitivities
+        ).solution
+
+    def pull_back(
+        self, system: MechanicalSystem, solution: Solution, seeds: Seeds, progress: bool = False
+    ) -> Array:
+        """Return the gradient, shape (n_b,), by one transposed solve at the equilibrium."""
+        q, lam, t = solution.q[0], solution.lam[0], float(solution.t[0])
+        on_q = np.zeros_like(q) if seeds.q is None else seeds.q[0]
+        on_lam = np.zeros_like(lam) if seeds.lam is None else seeds.lam[0]
+        return Tangent(system, t, q, lam).pull_back(on_q, on_lam)

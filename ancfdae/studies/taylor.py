@@ -15,9 +15,9 @@ from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
-from ancfdae.modes.periods import advised
+from ancfdae.modes.analysis import advised
 from ancfdae.numerics.arrays import Array, Numbers
-from ancfdae.numerics.progress import progress_bar
+from ancfdae.numerics.timing import progress_bar
 from ancfdae.sensitivity.method import Gradient, GradientMethod, finished
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.observable import states_of

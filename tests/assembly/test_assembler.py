@@ -461,7 +461,7 @@ def test_mass_is_the_sum_of_oracle_elements_and_its_total_the_mass_of_the_scene(
     total = translation.ravel() @ s.system.mass_times(s.q, translation.ravel())
     assert_close(total, volumes, VALUE)
     if all(beam.reference().straight for beam in s.scene.beams):
-        blocks = s.scene.element_parameters()
+        blocks = s.scene.element_parameters
         P = ElementParameter
         which = [P.DENSITY, P.SIZE_1, P.SIZE_2, P.LENGTH]
         assert_close(total, np.sum(np.prod(blocks[:, which], axis=1)), VALUE)

@@ -44,7 +44,7 @@ from ancfdae import (
     gradient,
     simulate,
 )
-from ancfdae.assembly.reference import Reference
+from ancfdae.assembly.geometry import Reference
 from ancfdae.errors import InconsistentStartError, InvalidInputError, UnknownNameError
 from ancfdae.extend import MaterialPoint
 from ancfdae.laws import ConstantAcceleration, Harmonic, Spline

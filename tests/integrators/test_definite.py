@@ -1,4 +1,4 @@
-"""Runs end where a mass matrix that depends on q ceases to be positive definite."""
+"""Runs end where a mass matrix that depends on q ceases to be positive prescribed_motion."""
 
 import math
 
@@ -8,8 +8,8 @@ import pytest
 from ancfdae import DOP853, HHT, Radau, simulate
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.extend import FormulaSystem
-from ancfdae.integrators import definite
-from ancfdae.integrators.definite import indefinite
+from ancfdae.integrators import prescribed_motion
+from ancfdae.integrators.prescribed_motion import indefinite
 from ancfdae.integrators.recorder import Rows
 
 
@@ -93,7 +93,7 @@ def test_directions_that_constraints_permit_count(second, first):
 
 
 def test_blocks_of_matrices_are_examined_in_their_order(monkeypatch):
-    monkeypatch.setattr(definite, "_ENTRIES", 8)
+    monkeypatch.setattr(prescribed_motion, "_ENTRIES", 8)
     assert indefinite(Beads(), rows(1.0, 0.5, 0.2, -1.9, -2.1, -2.2, 1.0)) == 4
 
 

@@ -1,6 +1,7 @@
 """IDA, IDAS and the explicit path behind the contract that HHT-I3 has."""
 
 import importlib.util
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from ancfdae import (
     HHT,
     IDA,
     IDAS,
+    PID,
     Adjoint,
     AtTimes,
     Beam,
@@ -23,6 +25,7 @@ from ancfdae import (
     Material,
     Pin,
     Radau,
+    RigidBody,
     Scene,
     Terminal,
     differentiate,
@@ -30,7 +33,14 @@ from ancfdae import (
     load_solution,
     simulate,
 )
-from ancfdae.errors import Interrupted, InvalidInputError, MissingPackageError
+from ancfdae.errors import (
+    Interrupted,
+    InvalidInputError,
+    ManyStepsWarning,
+    MissingPackageError,
+    UnlikelyValueWarning,
+)
+from ancfdae.laws import Constant
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.observables import custom
 from ancfdae.results import Verdict
@@ -321,3 +331,20 @@ def test_two_hundred_random_bad_starts(kind):
             verdicts.add(run.outcome.verdict)
             assert np.all(np.isfinite(run.q))
     assert len(verdicts) > 1
+
+
+def test_a_controller_that_tears_at_its_section_is_told_the_steps_to_come():
+    """The damping D/J = 1e7/s limits a step of DOP853 to 6.1 J/D (|R| = 1 on the real axis).
+
+    Its angle meets pi and jumps to -pi, so that steps of 25 differ and only hundreds are alike.
+    """
+    disc = RigidBody("disc", (0, 0), mass=1.0, inertia=0.1)
+    servo = PID(disc.origin, Constant(20.0), -3.8e9, 0.0, 1e6, name="servo")
+    scene = Scene([], [Pin(disc.origin)], bodies=[disc], loads=[servo])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UnlikelyValueWarning)
+        warnings.simplefilter("error", ManyStepsWarning)
+        with pytest.raises(ManyStepsWarning) as told:
+            simulate(scene, 1.0, DOP853(1e-6, max_steps=4000))
+    count = float(str(told.value).split()[1])
+    assert 1e7 / 6.5 < count < 1e7 / 4

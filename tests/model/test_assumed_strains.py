@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from ancfdae import BEAM_2D, BEAM_3D, EnhancedContinuum
+from ancfdae.assembly.elastic_forces import energy
 from ancfdae.model.elements import Batch, ElementParameter
 from ancfdae.model.elements.continuum import prepare
-from ancfdae.model.elements.elastic import energy
 from ancfdae.sections import QuadratureSection
 from tests.support.element_kinds import arc, kind_of, straight
 from tests.support.oracle import plain_strains

@@ -709,7 +709,7 @@ def test_zero_damping_time_is_bitwise_no_damping_even_as_a_design_variable(d):
 
 def test_damping_time_of_an_element_is_its_own():
     system = assemble(damped_beams(2, (0.02, 0.05)), ["rod.damping_time[0]", "rod.damping_time[1]"])
-    tau = system._scene.element_parameters()[:, ElementParameter.DAMPING_TIME]
+    tau = system._scene.element_parameters[:, ElementParameter.DAMPING_TIME]
     assert np.array_equal(tau, [0.02, 0.05])
     assert np.array_equal(system.b, [0.02, 0.05])
     q = system.start()[0]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from ancfdae import Bushing, Rope, SlidingFriction, SlidingJoint
-from ancfdae.assembly.part_inputs import Rigidity
+from ancfdae.assembly.geometry import Rigidity
 from ancfdae.extend import Law
 from ancfdae.model import joints, loads
 from ancfdae.model.joints.joint import DrivenJoint, Joint

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from ancfdae.numerics.least_norm import LeastNorm
+from ancfdae.assembly.closing import LeastNorm
 
 
 @pytest.mark.parametrize("size", [40, 200])

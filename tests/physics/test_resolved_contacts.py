@@ -202,7 +202,7 @@ def test_the_bound_of_the_rate_of_a_depth_holds_on_the_path():
         slip_speed=0.1,
     )
     system = assemble(Scene([], [], (0, 0), bodies=[carrier, body], loads=[touch]))
-    (load,) = system._loads.touching()
+    (load,) = system._loads.touching
     item = load.item
     for _ in range(40):
         angles, rates = rng.normal(size=2), 3 * rng.normal(size=2)

@@ -97,7 +97,7 @@ def scene_of(nodes, length, velocities=None, unit="m", element=CABLE_3D, start=(
 def contact_force(scene):
     """The generalised contact force on node vectors at the start, (n + 1, 2, d)."""
     system = assemble(scene)
-    (load,), (q, v) = system._loads.touching(), system.start()
+    (load,), (q, v) = system._loads.touching, system.start()
     return load.force(q[None], v[None], np.zeros(1)).reshape(-1, 2, system.vector_size)
 
 

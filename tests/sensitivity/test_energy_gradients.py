@@ -45,7 +45,7 @@ def test_direct_and_adjoint_are_complex_step_and_differences(d, section, energy)
     objective = Integral((position(beam.at_end, 1) - 0.1) ** 2 + position(beam.at_end, 0))
     call = (objective, 0.02, HHT(0.002, newton_tolerance=1e-14))
     direct = gradient(scene, *call, design=design, method=DirectDifferentiation())
-    b = np.array([scene.with_values({}).element_parameters()[0, w] for w in columns(beam, design)])
+    b = np.array([scene.with_values({}).element_parameters[0, w] for w in columns(beam, design)])
     b[design.index("rod.length")] = beam.length
     scale = np.max(np.abs(direct.gradient * b))
     adjoint = gradient(scene, *call, design=design, method=Adjoint())

@@ -50,6 +50,7 @@ from ancfdae.sensitivity.observables.points import (
     axial_strain,
     deflection,
     position,
+    slide_distance,
     slope,
     slope_angle,
     velocity,
@@ -76,7 +77,6 @@ from ancfdae.sensitivity.observables.sections import (
     shear_force,
     von_mises,
 )
-from ancfdae.sensitivity.observables.sliding import slide_distance
 from ancfdae.sensitivity.observables.user_functions import apply, custom
 from tests.support.mechanisms import CartesianPendulum
 from validation import scenes

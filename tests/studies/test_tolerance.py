@@ -25,8 +25,8 @@ from ancfdae import (
 from ancfdae.errors import InvalidInputError, ToleranceWarning
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.laws import ConstantAcceleration
+from ancfdae.modes.analysis import fastest
 from ancfdae.modes.linearised import LinearisationPoint
-from ancfdae.modes.periods import fastest
 from ancfdae.observables import custom, position
 from ancfdae.sections import Rectangle
 from ancfdae.studies.accuracy import search

@@ -32,8 +32,7 @@ from ancfdae import (
 )
 from ancfdae.laws import ConstantAcceleration, Harmonic
 from ancfdae.model import joints, loads
-from ancfdae.model.joints.formula_joint import FormulaJoint
-from ancfdae.model.joints.joint import DrivenJoint, Joint
+from ancfdae.model.joints.joint import DrivenJoint, FormulaJoint, Joint
 from ancfdae.model.loads.load import Load
 from ancfdae.model.parts import Normal
 from tests.support.by_hand import vector_by_hand

@@ -36,7 +36,7 @@ INJECTIONS = [
         "The library does not know its validation reports",
     ),
     (
-        "equations/proof.py",
+        "equations/conformance.py",
         "import sksundae",
         "Only ancfdae.integrators.sundials.ida imports sksundae",
     ),
@@ -66,7 +66,7 @@ INJECTIONS = [
     ),
     (
         "equations/system.py",
-        "from ancfdae.equations.proof import prove",
+        "from ancfdae.equations.conformance import prove",
         "Layers of the equations",
     ),
     (

@@ -122,7 +122,7 @@ def _motion(scene: Scene, times: Array, integrator: HHT | Radau) -> list[Array]:
     run = simulate(scene, float(times[-1]), integrator)
     if not run.outcome.success:
         raise FloatingPointError(str(run.outcome))
-    at = run.at(times)
+    at = run.at(np.minimum(times, run.t[-1]))
     return [at.nodes(beam.name) for beam in scene.beams]
 
 

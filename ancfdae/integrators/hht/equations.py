@@ -118,11 +118,6 @@ class Steps:
         """Return the size of the step after time point n relative to the step before it."""
         return float(self.h[n] / self.h[n - 1])
 
-    def columns(self, steps: slice) -> Coefficients:
-        """Return Newmark coefficients of the steps to time points `steps`, with h as a column."""
-        h = self.h[steps.start - 1 : steps.stop - 1]
-        return Coefficients(h[:, None], self.alpha)
-
 
 class Node(NamedTuple):
     """State of the recurrence of HHT-I3 after a step.
@@ -253,13 +248,6 @@ def motion_size(
     return norm(a, system.weights, reactions, inverse, Q, inverse)
 
 
-def share_of_defect(system: MechanicalSystem, c: Coefficients, q: Array, motion: float) -> float:
-    """Return chi: 1, or less where Phi_n is round-off that would disturb a step of size h."""
-    noise = _EPS * norm(q, system.weights)
-    allowed = QUIET * motion * c.beta * c.h**2
-    return 1.0 if noise <= allowed else allowed / noise
-
-
 def small_from(system: MechanicalSystem, run: Solution, alpha: float) -> float:
     """Return the number of equal steps of a run above which half of the steps would be small.
 
@@ -301,7 +289,9 @@ class ConstraintRow:
         motion = motion_size(system, 1 / system.weights, before.A, *forces)
         if floor <= unit * motion:
             return None
-        chi = share_of_defect(system, c, q, motion)
+        # chi: 1, or less where Phi_n is round-off that would disturb the step.
+        noise, allowed = floor, QUIET * motion * c.beta * c.h**2
+        chi = 1.0 if noise <= allowed else allowed / noise
         dq = predict_increment(c, before.v, before.a)[0] + (c.beta * c.h**2) * after.a
         G, g = chi * system.constraint_q(t, q), chi * system.constraint_total(t, (q,))
         for place, weight in zip(PLACES, WEIGHTS, strict=True):

@@ -47,7 +47,7 @@ from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.kernels import RULES
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
-from ancfdae.numerics.progress import progress_bar
+from ancfdae.numerics.timing import progress_bar
 
 # Most numbers in the arrays of a chunk of steps, small enough for the cache (crank-slider,
 # measured: chunks of 16 to 32 steps are 1.4 times faster than 64).
@@ -126,7 +126,7 @@ def differentiate(
     Return q_b, v_b, A_b, lam_b, shapes (n_t, n_q, n_b) and (n_t, n_lam, n_b), cut to the completed
     steps, and how the pass ended.
     """
-    system, n_t = nodes.problem.system, len(nodes.run.t)
+    system, n_t, alpha = nodes.problem.system, len(nodes.run.t), nodes.steps.alpha
     n_b, n_q = system.n_b, system.n_q
     states, lam_b = np.zeros((n_t, 3, n_b, n_q)), np.zeros((n_t, n_b, system.n_lam))
     states[0], lam_b[0] = (start.q_b.T, start.v_b.T, start.A_b.T), start.lam_b.T
@@ -138,7 +138,8 @@ def differentiate(
         with progress_bar(progress, total=n_t - 1, desc="derivatives", unit="step") as bar:
             for steps in chunks.slices(2 * n_b * (n_q + system.n_lam)):
                 rows, (packet, t, x) = slice(steps.start - 1, steps.stop), chunks.packet(steps)
-                given = _given(system, nodes.steps.columns(steps), t, x)
+                sizes = Coefficients(nodes.steps.h[steps.start - 1 : steps.stop - 1], alpha)
+                given = _given(system, sizes.in_q, t, x)
                 taken = chunks.passes.forward(packet, given, z, states[rows], lam_b[steps])
                 done += taken
                 bar.update(taken)
@@ -187,18 +188,17 @@ class _Chunks:
         return packet, run.t[steps], states
 
 
-def _given(system: MechanicalSystem, c: Coefficients, t: Array, states: tuple[Array, ...]) -> Array:
+def _given(system: MechanicalSystem, in_q: Array, t: Array, states: tuple[Array, ...]) -> Array:
     """Return -f_b and -Phi_b/(beta h^2), the explicit design terms of k steps, (k, n_b, n).
 
-    Coefficients have the shape (k, 1).
+    `in_q` is beta h^2, shape (k,).
     """
     q, v, A, lam = states
     partials = system.design_partials(t, q, v, A, lam)
     k, n_q, n_b = partials.f_b.shape
     given = np.empty((k, n_b, n_q + partials.Phi_b.shape[1]))  # each step in one piece
     np.negative(partials.f_b.transpose(0, 2, 1), out=given[:, :, :n_q])
-    scale = -c.beta * c.h[:, None] ** 2
-    np.divide(partials.Phi_b.transpose(0, 2, 1), scale, out=given[:, :, n_q:])
+    np.divide(partials.Phi_b.transpose(0, 2, 1), -in_q[:, None, None], out=given[:, :, n_q:])
     return given
 
 
@@ -216,7 +216,7 @@ def advance(
     """
     system, h, t = problem.system, np.array([c.h]), np.array([after.t])
     states = (after.q[None], after.v[None], after.A[None], after.lam[None])
-    right = _given(system, Coefficients(h[:, None], c.alpha), t, states)
+    right = _given(system, np.array([c.in_q]), t, states)
     matrices = step_matrices(Steps(h, c.alpha))
     packet = passes.packet(h, t, states, matrices, small_rows([row]) if row else None)
     rows = np.zeros((2, 3, system.n_b, system.n_q))

@@ -30,8 +30,13 @@ from ancfdae.integrators.hht.equations import (
 )
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import HHTStepper
-from ancfdae.integrators.integrator import DefectIntegrator, PartwiseIntegrator, RunInParts, Seeds
-from ancfdae.integrators.missed_contacts import with_contacts
+from ancfdae.integrators.integrator import (
+    DefectIntegrator,
+    PartwiseIntegrator,
+    RunInParts,
+    Seeds,
+    with_contacts,
+)
 from ancfdae.integrators.problem import InitialValueProblem, Scales
 from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.start import Covectors, pull_back_start
@@ -179,7 +184,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     def _derivatives(
         self, problem: InitialValueProblem, run: Solution, progress: bool
     ) -> tuple[list[Array], Verdict]:
-        steps, derivative = self.steps_of(run), problem.derivative
+        steps, derivative = Steps(self.sizes(run), self.hht_alpha), problem.derivative
         assert derivative is not None
         first = RecurrenceStart.of(problem, steps.of(1))
         nodes = Nodes(problem, run, steps, first.node)
@@ -228,13 +233,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     ) -> tuple[RecurrenceStart, Nodes]:
         """Return the start of the recurrence and the nodes of a run, for a pass over it."""
         # The length of a run with one time point does not matter.
-        steps, problem = (
-            self.steps_of(solution),
-            InitialValueProblem.of(system, float(solution.t[-1]) or 1.0, solution.q),
-        )
+        steps = Steps(self.sizes(solution), self.hht_alpha)
+        problem = InitialValueProblem.of(system, float(solution.t[-1]) or 1.0, solution.q)
         first = RecurrenceStart.of(problem, steps.of(1))
         return first, Nodes(problem, solution, steps, first.node)
-
-    def steps_of(self, solution: Solution) -> Steps:
-        """Return the step sizes of a run of this integrator, shape (n,), s, with its alpha."""
-        return Steps(self.sizes(solution), self.hht_alpha)

@@ -64,12 +64,18 @@ class _Jerk:
     def of(
         system: MechanicalSystem, x: InitialState, a: Array, s: float, factors: Factorization
     ) -> _Jerk:
-        """Return the third derivative at the acceleration a; `factors` belong to M - s Q_v."""
-        side = jerk_side(system, x.t, x.q, x.v, a)
-        jerk, lam_rate = solve(factors, _force_rates(system, x, a), side)
+        """Return the third derivative at the acceleration a; `factors` belong to M - s Q_v.
+
+        The force is -f' along the motion, with Q_v times the given acceleration; (dM/dt) a = (M
+        a)_q v uses the acceleration of the state.
+        """
+        side, states = jerk_side(system, x.t, x.q, x.v, a), (x.q, x.v, x.a, x.lam)
+        force = -residual_along(system, x.t, states, StateDirection(1.0, x.v, a))
+        jerk, lam_rate = solve(factors, force, side)
         if jerk.dtype.kind == "c":
             # Q_v is that of the real part; one more sweep adds the effect of its imaginary part.
-            force = _force_rates(system, x, a + s * jerk) - system.mass_times(x.q, jerk)
+            along = StateDirection(1.0, x.v, a + s * jerk)
+            force = -residual_along(system, x.t, states, along) - system.mass_times(x.q, jerk)
             force = force - reaction(system, x.t, x.q, lam_rate)
             moved = system.constraint_pattern.dot(system.constraint_q(x.t, x.q), jerk)
             more, lam_more = solve(factors, force, side - moved)
@@ -210,14 +216,6 @@ class RecurrenceStart:
         on_b = on_b + held_pull_back(system, t, q, j, jerk.lam_rate, m)
         on_lam = system.constraint_pattern.dot(first, m)
         return Covectors(-on_q, -on_v, -on_a, -on_lam, -on_b), -on_same
-
-
-def _force_rates(system: MechanicalSystem, x: InitialState, a: Array) -> Array:
-    """Return -f', (n_q,), along the motion, with Q_v times the given acceleration a.
-
-    (dM/dt) a = (M a)_q v uses the acceleration of the state.
-    """
-    return -residual_along(system, x.t, (x.q, x.v, x.a, x.lam), StateDirection(1.0, x.v, a))
 
 
 def _damping(system: MechanicalSystem, x: InitialState) -> Array:

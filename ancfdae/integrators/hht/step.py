@@ -164,13 +164,15 @@ class StepSolver:
 
     def march(self, before: Node, h: Array, ends: Array, rows: StateRows) -> tuple[int, Node]:
         """Take steps until one is not solved; write q, v, A and lam to rows; return how many."""
-        end = self._taken(before, h, ends, rows, self._usual(1))
+        usual = _Attempt(None, (self._tolerance, math.inf, self.max_iterations))
+        end = self._taken(before, h, ends, rows, usual)
         self._recorder.round_off_steps += end.round_off
         return end.taken, end.node
 
     def advance(self, step: Step, patience: int = 1) -> Node | Failure:
         """Solve eqs. (4) and (5) within `patience` times the usual number of iterations."""
-        solved = self._solved(step, self._usual(patience))
+        limits = self._tolerance, math.inf, patience * self.max_iterations
+        solved = self._solved(step, _Attempt(None, limits))
         return solved if isinstance(solved, Failure) else self.accept(solved)
 
     def follow(self, step: Step, guess: tuple[Array, Array], rough: float) -> SolvedStep | Failure:
@@ -242,9 +244,6 @@ class StepSolver:
             return Node(float(ends[k - 1]), of_q, of_v, of_a, of_lam, of_A, motion)
 
         return ControlledSteps(ends[:taken], filters, node_at, March(why), size)
-
-    def _usual(self, patience: int) -> _Attempt:
-        return _Attempt(None, (self._tolerance, math.inf, patience * self.max_iterations))
 
     def _solved(self, step: Step, attempt: _Attempt) -> SolvedStep | Failure:
         """Return the solution of one step, or why it was not solved."""

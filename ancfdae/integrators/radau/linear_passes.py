@@ -53,7 +53,7 @@ from ancfdae.integrators.radau.stages import (
 from ancfdae.integrators.start import Covectors, pull_back_start
 from ancfdae.kernels import RULES
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.progress import progress_bar
+from ancfdae.numerics.timing import progress_bar
 
 # q, v, a and lam at k time points, as rows.
 States: TypeAlias = tuple[Array, Array, Array, Array]

@@ -14,8 +14,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.outcomes import Verdict
-from ancfdae.integrators.integrator import PartwiseIntegrator, RunInParts, Seeds
-from ancfdae.integrators.missed_contacts import with_contacts
+from ancfdae.integrators.integrator import PartwiseIntegrator, RunInParts, Seeds, with_contacts
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.radau import linear_passes
 from ancfdae.integrators.radau.stages import PLACES

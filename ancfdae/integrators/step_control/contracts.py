@@ -42,7 +42,7 @@ from ancfdae.integrators.prescribed_motion import Watch, half_a_turn_off, lock
 from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.recorder import Rows, SolutionRecorder
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.progress import progress_bar
+from ancfdae.numerics.timing import progress_bar
 
 _TWICE = 2.0
 # A design variable has no influence if a change by its own size moves the coordinates by less than

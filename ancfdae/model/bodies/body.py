@@ -291,21 +291,23 @@ class BeamBody(Placed):
         self._check_part(self.section, Section)
         self._check_part(self.material, Material)
         self._check_sections(self._per_element()[0])
-        self._check_energy()
-        self._check_kinks()
-        self._check_initial_strain()
+        where, default = f"beam {self.name!r}, energy", self.element.default_energy
+        energy: object = self.energy
+        if energy is None:
+            object.__setattr__(self, "energy", default)
+        elif default is None:
+            rule = f"must be left out for {self.element.name}, which has its own strain energy"
+            raise InvalidInputError(where, rule, repr(energy))
+        else:
+            require_kind(where, energy, (StrainEnergyFunction,), "For example EnhancedContinuum().")
+            assert isinstance(energy, StrainEnergyFunction)
+            if self.dimension not in energy.dimensions:
+                rule = f"must be an energy for {self.dimension} dimensions"
+                raise InvalidInputError(where, rule, repr(energy), "Use EnhancedContinuum().")
+        self._check_shape()
 
-    def _check_initial_strain(self) -> None:
-        where, repair = f"beam {self.name!r}, initial_strain", "Give a force over E A."
-        require_finite(where, self.initial_strain, repair)
-        if abs(self.initial_strain) >= 0.5:
-            rule = "must lie between -1/2 and 1/2: the length free of stress must be positive"
-            raise InvalidInputError(where, rule, self.initial_strain, repair)
-        if self.rigid and self.initial_strain != 0:
-            rule = "a rigid beam has no strain"
-            raise InvalidInputError(where, rule, self.initial_strain, "Leave it or rigid=True out.")
-
-    def _check_kinks(self) -> None:
+    def _check_shape(self) -> None:
+        """Check the kinks and the initial strain; store the kinks as a tuple."""
         where = f"beam {self.name!r}, kinks"
         kinks = require_sequence(where, self.kinks)
         for fraction in kinks:
@@ -322,6 +324,14 @@ class BeamBody(Placed):
                 where, rule, kinks, "Join two beams instead, by a Pin or a Weld."
             )
         object.__setattr__(self, "kinks", kinks)
+        where, repair = f"beam {self.name!r}, initial_strain", "Give a force over E A."
+        require_finite(where, self.initial_strain, repair)
+        if abs(self.initial_strain) >= 0.5:
+            rule = "must lie between -1/2 and 1/2: the length free of stress must be positive"
+            raise InvalidInputError(where, rule, self.initial_strain, repair)
+        if self.rigid and self.initial_strain != 0:
+            rule = "a rigid beam has no strain"
+            raise InvalidInputError(where, rule, self.initial_strain, "Leave it or rigid=True out.")
 
     def _check_part(self, part: object, kind: type) -> None:
         if isinstance(part, kind):
@@ -347,21 +357,6 @@ class BeamBody(Placed):
             )
         for section in {x.sizes(): x for x in distinct}.values():
             self.element.check_section(f"beam {self.name!r}", section)
-
-    def _check_energy(self) -> None:
-        where, default = f"beam {self.name!r}, energy", self.element.default_energy
-        given: object = self.energy
-        if given is None:
-            object.__setattr__(self, "energy", default)
-            return
-        if default is None:
-            rule = f"must be left out for {self.element.name}, which has its own strain energy"
-            raise InvalidInputError(where, rule, repr(given))
-        require_kind(where, given, (StrainEnergyFunction,), "For example EnhancedContinuum().")
-        assert isinstance(given, StrainEnergyFunction)
-        if self.dimension not in given.dimensions:
-            rule = f"must be an energy for {self.dimension} dimensions"
-            raise InvalidInputError(where, rule, repr(given), "Use EnhancedContinuum().")
 
 
 _Numbered = TypeVar("_Numbered", Section, Material)

@@ -230,23 +230,19 @@ class ContinuumBeam(BeamElement):
 
     def check_section(self, where: str, section: Section) -> None:
         """Raise InvalidInputError unless the area of the section spreads along each of its axes."""
-        if not self._is_spread(section):
+        y, z, dA = (x[0] for x in section.points(np.array([section.sizes()]), False))
+        places = np.stack([y, z][: self.d - 1])
+        moments = section.second_moments()[: self.d - 1, : self.d - 1]
+        squares = np.diag(moments)
+        # Of points on a line round-off leaves eps^2 = 5e-32 of the first, and eps of the second.
+        flat = bool(np.any(squares <= 1e-24 * (places**2 @ np.abs(dA))))
+        if flat or not np.linalg.det(moments / np.sqrt(np.outer(squares, squares))) > 1e-12:
             raise InvalidInputError(
                 f"{where}, section",
                 "the area of a section must spread along y, in space not along one line only",
                 repr(section),
                 "Give points that lie apart.",
             )
-
-    def _is_spread(self, section: Section) -> bool:
-        y, z, dA = (x[0] for x in section.points(np.array([section.sizes()]), False))
-        places = np.stack([y, z][: self.d - 1])
-        moments = section.second_moments()[: self.d - 1, : self.d - 1]
-        squares = np.diag(moments)
-        # Of points on a line round-off leaves eps^2 = 5e-32 of the first, and eps of the second.
-        if np.any(squares <= 1e-24 * (places**2 @ np.abs(dA))):
-            return False
-        return bool(np.linalg.det(moments / np.sqrt(np.outer(squares, squares))) > 1e-12)
 
     def vector_weights(
         self, quantity: Quantity, xi: float, y: float, z: float

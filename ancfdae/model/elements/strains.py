@@ -179,7 +179,7 @@ class Region:
         self._xi, self.rule = along
         self._d, self._fibres = batch.d, fibres
         assumed = batch.kind.energy is not None and batch.energy.assumed_strains
-        self._turns = turn_count(batch.d) if assumed else 0
+        self._turns = len(strain_places(batch.d).turns) if assumed else 0
         self.beta = section_strains(batch.d, tuple(self._xi.tolist()), assumed)
         straight = batch.kind.straight
         self._frames = Frames.straight(batch.d) if straight else Frames.of(batch.Y_unit, self._xi)
@@ -257,22 +257,21 @@ def _product(rho: Array, dV: Array, s_1: Array, s_2: Array) -> Array:
 
 
 def section_stiffness(batch: Batch) -> tuple[Array, ...]:
-    """Return section stiffnesses C of the volume, and of the axis if the energy needs them."""
-    C = batch.stiffness
+    """Return section stiffnesses C of the volume, and of the axis if the energy needs them.
+
+    With assumed strains the stiffness of the turns, which the axis lacks, follows on the diagonal.
+    """
     if not batch.energy.assumed_strains:
-        return C
+        return batch.stiffness
     turns = turn_stiffness(batch.d, *batch.moduli, batch.kind.straight)
-    return tuple(_with_diagonal(x, turns * k) for x, k in zip(C, (1.0, 0.0), strict=False))
-
-
-def _with_diagonal(C: Array, more: Array) -> Array:
-    """Return the matrices C with rows and columns added whose diagonal is `more`, (n, n_more)."""
-    n_v, size = C.shape[1], C.shape[1] + more.shape[1]
-    whole = np.zeros((len(C), size, size), dtype=C.dtype)
-    whole[:, :n_v, :n_v] = C
-    rows = np.arange(n_v, size)
-    whole[:, rows, rows] = more
-    return whole
+    whole = []
+    for C, share in zip(batch.stiffness, (1.0, 0.0), strict=False):
+        n_v, size = C.shape[1], C.shape[1] + turns.shape[1]
+        whole.append(np.zeros((len(C), size, size), dtype=C.dtype))
+        whole[-1][:, :n_v, :n_v] = C
+        rows = np.arange(n_v, size)
+        whole[-1][:, rows, rows] = turns * share
+    return tuple(whole)
 
 
 def _refuse_folds(stretch: Array, owners: Array) -> None:
@@ -336,7 +335,8 @@ def strain_places(d: int) -> StrainPlaces:
     shears = np.max(squares) + bending
     slopes = np.max(shears) + 1 + slopes
     thickness = np.max(slopes) + 1 + pairs
-    turns = np.max(thickness) + 1 + np.arange(turn_count(d))
+    # One squared curvature in the plane; two, and the squared twist, in space.
+    turns = np.max(thickness) + 1 + np.arange(1 if d == 2 else 3)
     waves = np.max(turns) + bending
     turned = np.max(waves) + bending
     return StrainPlaces(bending, squares, shears, slopes, thickness, turns, waves, turned)
@@ -383,13 +383,8 @@ def section_strains(d: int, xi: tuple[float, ...], assumed: bool) -> Array:
     return beta
 
 
-def turn_count(d: int) -> int:
-    """Return the number of rows of turns, squared curvatures and twist, after the strains."""
-    return 1 if d == 2 else 3
-
-
 def turn_stiffness(d: int, E: Array, nu: Array, straight: bool) -> Array:
-    """Return the stiffness of the turns, a diagonal appended to C, shape (n, turn_count); Pa.
+    """Return the stiffness of the turns, a diagonal appended to C, shape (n, 1 or 3); Pa.
 
     The energy lacks (k - k_o)^2 (k^2 + k k_o + k_o^2) of a curvature or twist k, and turns add (k^2
     - k_o^2)^2: the same for k_o = 0, and 4/3 of it near the reference of a curved beam, whose
@@ -514,7 +509,15 @@ class Frames:
         axis = Axis.of(d, xi)
         slopes = np.stack([c @ Y for c in axis.c[1:]], axis=-1)
         rest = np.stack([axis.a @ Y, *(b @ Y for b in axis.b[1:])], axis=-1)
-        axes = _section_axes(slopes)
+        # The axes of the section as rows: normal, r_y over its length, and in space the direction
+        # perpendicular to both. Shear factors, and C without Poisson's effect, refer to these.
+        r_y = slopes[..., 0] / np.sqrt(np.sum(slopes[..., 0] ** 2, axis=-1, keepdims=True))
+        if d == 2:
+            axes = np.stack([np.stack([r_y[..., 1], -r_y[..., 0]], axis=-1), r_y], axis=-2)
+        else:
+            normal = np.cross(r_y, slopes[..., 1])
+            normal = normal / np.sqrt(np.sum(normal**2, axis=-1, keepdims=True))
+            axes = np.stack([normal, r_y, np.cross(normal, r_y)], axis=-2)
         J_s, along = (axes @ slopes)[..., 1:, :], np.swapaxes(axes @ rest, -1, -2)
         return cls(False, along[..., 0], along[..., 1:], np.linalg.inv(J_s), np.linalg.det(J_s))
 
@@ -569,7 +572,14 @@ class Frames:
     def _shears(self, at: Fibres, power: int, count: int, given: Array | None) -> Array:
         """Return the coefficients of the shears h in s, shape (n, n_xi, n_f, d - 1, count)."""
         m = self.normal.shape[-1] - 1
-        forms, factors = self._forms(count), at.factors**power
+        places, factors = strain_places(m + 1), at.factors**power
+        # Coefficients of g_i, then G_ij, in s, shape (n, n_xi, 1, d - 1, d, count).
+        along = np.swapaxes(self.inverse @ np.swapaxes(self.across, -1, -2), -1, -2)
+        forms = np.zeros((*along.shape[:2], 1, m, m + 1, count))
+        for i in range(m):
+            forms[..., 0, i, 0, places.shears[i]] = 1.0
+            forms[..., 0, i, 1 + np.arange(m), places.slopes[i]] = 1.0
+            forms[..., 0, i, :, places.thickness[i]] = -np.moveaxis(along, -1, 0)
         y, c, c_s = (x[:, None, :, :m] for x in (at.offsets, at.centroid, at.shear_centre))
         twist = factors[:, 2] if given is None else np.zeros(1)
         twist = np.where(np.eye(m) == 1, 1.0, twist[:, None, None])[:, None, None]
@@ -586,34 +596,7 @@ class Frames:
             h = h + given[:, None, :, :, None] * rate[..., None, :]
         return np.asarray(h / self.stretch(at.offsets)[..., None, None])
 
-    def _forms(self, count: int) -> Array:
-        """Return the coefficients of g_i, then G_ij, in s, shape (n, n_xi, 1, d - 1, d, count)."""
-        m = self.normal.shape[-1] - 1
-        places = strain_places(m + 1)
-        along = np.swapaxes(self.inverse @ np.swapaxes(self.across, -1, -2), -1, -2)
-        forms = np.zeros((*along.shape[:2], 1, m, m + 1, count))
-        for i in range(m):
-            forms[..., 0, i, 0, places.shears[i]] = 1.0
-            forms[..., 0, i, 1 + np.arange(m), places.slopes[i]] = 1.0
-            forms[..., 0, i, :, places.thickness[i]] = -np.moveaxis(along, -1, 0)
-        return forms
-
     @staticmethod
     def _ones(offsets: Array, m: int) -> Array:
         """Return 1, y and z of the fibres of sections as rows, shape (n, 1, n_f, d)."""
         return np.concatenate([np.ones_like(offsets[..., :1]), offsets[..., :m]], axis=-1)[:, None]
-
-
-def _section_axes(slopes: Array) -> Array:
-    """Return the axes of the section as rows, from its slopes as columns, (..., d, d - 1).
-
-    They are the normal, r_y over its length, and in space the direction perpendicular to both.
-    Shear factors, and C without Poisson's effect, refer to these axes.
-    """
-    r_y = slopes[..., 0] / np.sqrt(np.sum(slopes[..., 0] ** 2, axis=-1, keepdims=True))
-    if slopes.shape[-2] == 2:
-        normal = np.stack([r_y[..., 1], -r_y[..., 0]], axis=-1)
-        return np.stack([normal, r_y], axis=-2)
-    normal = np.cross(r_y, slopes[..., 1])
-    normal = normal / np.sqrt(np.sum(normal**2, axis=-1, keepdims=True))
-    return np.stack([normal, r_y, np.cross(normal, r_y)], axis=-2)

@@ -13,7 +13,6 @@ from ancfdae.model.joints.frames import (
     Carrier,
     SectionFrame,
     across,
-    axis_shapes,
     carrier_of,
     fix_turn,
     hold_axis,
@@ -103,7 +102,9 @@ class AxisJoint(Joint):
         section = both[0]
         if isinstance(carrier, SectionFrame) and section.holds(axis) and not carrier.holds(axis):
             section, carrier = carrier, section
-        every = tuple(dict.fromkeys((*axis_shapes(section, carrier, axis), *shapes)))
+        every = tuple(
+            dict.fromkeys((*section.flat(), *square(carrier, unless_it_holds=axis), *shapes))
+        )
         c = empty_equations(rows, p, reference, every)
         hold_axis(c, slice(rows - 2, rows), section, carrier, axis)
         if is_fixed_in(section, carrier, axis):

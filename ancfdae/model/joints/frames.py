@@ -192,11 +192,6 @@ def axis_torque(section: SectionFrame, axis: Array) -> tuple[RightAngle, ...]:
     return () if section.holds(axis) else section.flat()
 
 
-def axis_shapes(section: SectionFrame, carrier: Carrier, axis: Array) -> tuple[RightAngle, ...]:
-    """Return the right angles of sections that a joint of type `hold_axis` keeps."""
-    return section.flat() + square(carrier, unless_it_holds=axis)
-
-
 def hold_axis(
     c: JointEquations, rows: slice, section: SectionFrame, carrier: Carrier, axis: Array
 ) -> None:

@@ -19,7 +19,7 @@ from ancfdae.errors.checks import require_finite, require_positive, require_vect
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import MaterialPoint, Quantity
 from ancfdae.model.design import design_numbers
-from ancfdae.model.joints.formula_joint import FormulaJoint
+from ancfdae.model.joints.joint import FormulaJoint
 from ancfdae.model.parts import Elements, LineVector, Sign, StateVector, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.vector_formulas import positive

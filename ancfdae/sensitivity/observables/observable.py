@@ -230,8 +230,8 @@ class Observable(Expression["Observable"]):
         """Return the partials times a weight per time point, shape (k,).
 
         `values` are the values of all nodes at these states, from `node_values`. Raises
-        InvalidInputError for complex states, and for a user's function that proves not
-        differentiable.
+        InvalidInputError for complex states, and for a user's function that lacks derivatives at
+        three of the times.
         """
         if any(np.iscomplexobj(x) for x in values.values()):
             raise InvalidInputError(
@@ -240,7 +240,11 @@ class Observable(Expression["Observable"]):
                 "complex ones",
                 "`value` takes complex ones.",
             )
-        _require_derivatives(values)
+        for node in values:
+            if isinstance(node, Operation) and node.function.by_user:
+                x = [a[[0, len(a) // 2, -1]] for a in operands_of(node, values)]
+                dx = [np.where(a == 0, 1.0, a) for a in x]
+                require_derivative(node.function.name, node.function.call, x, dx)
         parts: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam"))
         b = np.zeros((len(weight), system.n_b))
         with np.errstate(all="ignore"):  # the caller checks for values that are not finite
@@ -324,12 +328,3 @@ def _require_same_sizes(system: MechanicalSystem, solution: Solution) -> None:
             f"{sizes[0]} coordinates and {sizes[1]} multipliers where that has {got[0]}, {got[1]}"
         )
         raise InvalidInputError("observe, system", rule, counts, repair)
-
-
-def _require_derivatives(values: dict[object, Array]) -> None:
-    """Raise InvalidInputError if a user's function lacks derivatives at three of the times."""
-    for node in values:
-        if isinstance(node, Operation) and node.function.by_user:
-            x = [a[[0, len(a) // 2, -1]] for a in operands_of(node, values)]
-            dx = [np.where(a == 0, 1.0, a) for a in x]
-            require_derivative(node.function.name, node.function.call, x, dx)

@@ -17,6 +17,8 @@ the point at
 half the vorticity, which is the angular velocity of a rigid body. It does not depend on the lengths
 and angles of the slopes in the reference. A cable has only the slope along it: omega is the
 angular velocity of its tangent, r_x x r_x' / |r_x|^2, without the spin about it.
+
+**Sliding joints** have the distance that the guide has slid along its beam, and its rate.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ import scipy
 from ancfdae.assembly.naming import PointVector, SceneNaming
 from ancfdae.assembly.system import AncfSystem
 from ancfdae.equations import MechanicalSystem
+from ancfdae.errors.checks import require_text
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import MaterialPoint, Quantity, require_point
 from ancfdae.numerics.arrays import STEP, Array
@@ -375,3 +378,45 @@ def _spin(F: Array, rates: Array) -> Array:
     volume = np.sum(F[:, 0] * np.cross(F[:, 1], F[:, 2]), axis=1)
     turning = sum(np.cross(np.cross(F[:, k - 2], F[:, k - 1]), rates[:, k]) for k in range(3))
     return np.asarray(turning / (2 * volume[:, None]))
+
+
+def slide_distance(joint: str) -> Observable:
+    """Return how far the guide of a `SlidingJoint` has slid along its beam since t = 0; m.
+
+    The distance is measured along the beam in the reference configuration.
+    """
+    return _Slide(joint, rate=False)
+
+
+def slide_speed(joint: str) -> Observable:
+    """Return the rate at which the guide of a `SlidingJoint` slides along its beam; m/s."""
+    return _Slide(joint, rate=True)
+
+
+@final
+@dataclass(frozen=True)
+class _Slide(Leaf):
+    """The distance that a sliding joint has moved along its beam, or its rate."""
+
+    joint: str
+    rate: bool
+
+    def __post_init__(self) -> None:
+        require_text("slide_speed, joint" if self.rate else "slide_distance, joint", self.joint)
+
+    def check_leaf(self, system: Named) -> None:
+        """Raise UnknownNameError unless the scene has a sliding joint of this name."""
+        self._column(system)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Return the distance, m, or speed, m/s, of the guide at the states, shape (k,)."""
+        return (states.v if self.rate else states.q)[:, self._column(system)]
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Return the partial one in the column of the slide coordinate, or of its rate."""
+        one = Columns(np.array([self._column(system)]), np.ones((1, 1)))
+        return LeafGradient(v=one) if self.rate else LeafGradient(q=one)
+
+    def _column(self, system: Named) -> int:
+        layout = known_naming(system).layout
+        return layout.d * layout.slider(self.joint).first_vector

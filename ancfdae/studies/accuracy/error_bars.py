@@ -47,7 +47,7 @@ from ancfdae.integrators.step_control import FixedSteps
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
-from ancfdae.modes.periods import advice
+from ancfdae.modes.analysis import advice
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import DirectDifferentiation

@@ -47,6 +47,8 @@ _LITTLE, _NOTHING, _ORDER_ONLY = 0.2, 0.05, 2.0
 # Most by which estimated errors may fall faster than with the order; otherwise the coarse run
 # followed another motion.
 _FASTER = 0.6
+# Part of an error of phase that is left in the error bar of an extrapolated number.
+_EXTRAPOLATED = 0.15
 # Factors of the number of steps from the first run to the second: the largest if it suffices for
 # the tolerance by the estimated error, and the one otherwise.
 _REACHED, _DOUBLED = 2.25, 2.0
@@ -280,6 +282,23 @@ class HHTRuns(FixedStepRuns):
         return followed(self._damped, self._t_end, _ALPHA, 1.4 * self._taken)
 
     @property
+    def pilot(self) -> float:
+        """Estimated cost of the next runs up to one that can be compared, microseconds."""
+        if not self.damps:
+            return self.work
+        return self._work(self._following) + self._work(2 * self._following)
+
+    @property
+    def _in_phase(self) -> float:
+        """Number of steps with which errors of phase of damped waves are below the tolerance.
+
+        Extrapolation leaves a small part of these errors.
+        """
+        allowed = self._tolerance / (_EXTRAPOLATED * self._whole) if self._whole > 0 else math.inf
+        turned = max(x.turned(self._t_end, self._taken) for x in self._damped)
+        return self._taken * math.sqrt(turned / allowed)
+
+    @property
     def left(self) -> float:
         """Estimated cost to reach the tolerance, microseconds.
 
@@ -292,7 +311,9 @@ class HHTRuns(FixedStepRuns):
         if self._taken < self.least:
             return self._work(self.least) + self._work(2 * self.least)
         if self.damps:
-            return self._work(self._following) + self._work(2 * self._following)
+            first = self._following
+            runs = math.ceil(math.log2(max(self._in_phase / first, 2.0)))
+            return self._work(2.0**runs * first) * (2 - 2.0**-runs)
         order = self.order if self.resolved or self.regular else self._falls
         last = max(self._growth(order, math.inf) * self._taken, self.count)
         most = self._stride if self.resolved else 2.0

@@ -141,7 +141,7 @@ class RadauRuns(FixedStepRuns):
 
 
 # First tolerance of DOP853 over the requested one; least and largest factor to the next.
-_FIRST, _TIGHTER, _TIGHTEST = 0.1, 10.0, 1e3
+_FIRST, _TIGHTER, _TIGHTEST = 1.0, 10.0, 1e3
 # Loosest and tightest tolerance of DOP853 in a search.
 _LOOSEST, _LEAST_RTOL = 1e-2, 3e-14
 # Number of last paths whose sharp places have stops, and how often the stops are doubled.

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Final, NamedTuple, TypeAlias, final
 
 import numpy as np
@@ -68,6 +68,8 @@ _STOPS, _APART, _ALL = 12, 0.25, 1800
 _COPIES, _TIMES = 4, 65
 # Degree up to which polynomials of observables change no more suddenly than the observables.
 _LOW: Final = 4
+# Number of stages of Radau IIA.
+_STAGES: Final = 3
 # Number of chords before and after a place that belong to it.
 _WIDER: Final = 2
 
@@ -247,38 +249,55 @@ class _Path:
 
     @staticmethod
     def of(run: Solution) -> _Path:
-        """Return the path of a run in state space, without repeated times."""
+        """Return the path of a run in state space, without repeated times.
+
+        Stages of Radau IIA are less accurate than the ends of its steps: cubics through them have
+        kinks. Its path has the middles of the quintics through q, v and a at the ends instead.
+        """
         kept = np.append(True, np.diff(run.t) > 1e-12 * run.t[-1])
+        if run.degree == _STAGES:
+            kept = np.arange(len(run.t)) % _STAGES == 0
         t, q, v, a, lam = (np.real(x[kept]) for x in (run.t, run.q, run.v, run.a, run.lam))
+        if run.degree == _STAGES:
+            t, q, v, a, lam = _with_middles(t, q, v, a, lam)
         Y = np.concatenate([t[:, None], q, v, lam], axis=1)
         rates = np.concatenate([np.ones((len(t), 1)), v, a, np.gradient(lam, t, axis=0)], axis=1)
         return _Path(t, Y, rates, (q.shape[1], lam.shape[1]))
 
-    def with_columns(self, run: Solution, columns: Sequence[Array]) -> _Path:
-        """Return the path with further functions, given at the times of its run, as columns."""
+    @property
+    def nodes(self) -> States:
+        """The states at the times of the path."""
+        t, q, v, lam = np.split(self.Y[:, : 1 + 2 * self.sizes[0] + self.sizes[1]], self._ends, 1)
+        return States(t[:, 0], q, v, lam)
+
+    @property
+    def _ends(self) -> list[int]:
+        return [1, 1 + self.sizes[0], 1 + 2 * self.sizes[0]]
+
+    def with_columns(self, columns: Sequence[Array]) -> _Path:
+        """Return the path with further functions, given at its times, as columns."""
         if not columns:
             return self
-        kept = np.append(True, np.diff(run.t) > 1e-12 * run.t[-1])
-        more = np.stack([np.real(x)[kept] for x in columns], axis=1)
+        more = np.stack([np.real(x) for x in columns], axis=1)
         Y = np.concatenate([self.Y, more], axis=1)
         slopes = np.concatenate([self.slopes, np.gradient(more, self.t, axis=0)], axis=1)
         return _Path(self.t, Y, slopes, self.sizes)
 
-    def _powers(self, columns: Columns) -> tuple[Array, Array, Array, Array]:
-        """Return the coefficients of 1, s, s^2 and s^3 in each interval, (columns, intervals)."""
-        h, Y = np.diff(self.t), self.Y[:, columns].T
-        slopes = self.slopes[:, columns].T
-        first, last, rise = h * slopes[:, :-1], h * slopes[:, 1:], np.diff(Y)
+    @cached_property
+    def _powers(self) -> tuple[Array, Array, Array, Array]:
+        """Coefficients of 1, s, s^2 and s^3 in each interval, (columns, intervals)."""
+        h, Y = np.diff(self.t), self.Y.T
+        first, last, rise = h * self.slopes[:-1].T, h * self.slopes[1:].T, np.diff(Y)
         return Y[:, :-1], first, 3 * rise - 2 * first - last, first + last - 2 * rise
 
     def at(self, n: Array, s: Array, columns: Columns = slice(None)) -> Array:
         """Return columns at fractions s of the intervals n, shape (columns, k)."""
-        y, dy, bend, twist = (x[:, n] for x in self._powers(columns))
+        y, dy, bend, twist = (x[columns][:, n] for x in self._powers)
         return np.asarray(y + s * (dy + s * (bend + s * twist)))
 
     def rates(self, n: Array, s: Array, columns: Columns = slice(None)) -> Array:
         """Return rates of columns at fractions s of the intervals n, shape (columns, k)."""
-        _, dy, bend, twist = (x[:, n] for x in self._powers(columns))
+        _, dy, bend, twist = (x[columns][:, n] for x in self._powers)
         return np.asarray((dy + s * (2 * bend + 3 * s * twist)) / np.diff(self.t)[n])
 
     def boxes(
@@ -387,6 +406,26 @@ class _Path:
         return np.unique(np.concatenate(ends))
 
 
+def _with_middles(t: Array, q: Array, v: Array, a: Array, lam: Array) -> list[Array]:
+    """Return times and states of steps with the middle of every step between its ends.
+
+    Coordinates follow the quintic through q, v and a at both ends, multipliers a cubic.
+    """
+    h, slopes = np.diff(t)[:, None], np.gradient(lam, t, axis=0)
+    ends = [(x[:-1], x[1:]) for x in (q, v, a, lam, slopes)]
+    (q0, q1), (v0, v1), (a0, a1), (lam0, lam1), (slope0, slope1) = ends
+    middles = [
+        (q0 + q1) / 2 + 5 * h / 32 * (v0 - v1) + h**2 / 64 * (a0 + a1),
+        15 / 8 * (q1 - q0) / h - 7 / 16 * (v0 + v1) + h / 32 * (a1 - a0),
+        1.5 * (v1 - v0) / h - (a0 + a1) / 4,
+        (lam0 + lam1) / 2 + h / 8 * (slope0 - slope1),
+    ]
+    places = np.arange(1, len(t))
+    rows = zip((q, v, a, lam), middles, strict=True)
+    both = (np.insert(x, places, middle, axis=0) for x, middle in rows)
+    return [np.insert(t, places, (t[:-1] + t[1:]) / 2), *both]
+
+
 def _size(rows: Array, level: bool) -> float:
     """Return the largest range of functions (rows), or with `level` the largest value."""
     if not rows.size:
@@ -422,50 +461,52 @@ class _Chords:
         def value(x: Array) -> Array:
             return function(np.interp(x * t[-1], known, np.arange(float(len(known)))))
 
-        last = min(math.ceil(-math.log2(float(np.diff(x).min()))) + 2, _SHORTEST)
-        levels = range(_LONGEST, last + 3)
-        gaps = (
-            np.array([_gap(x, rows, value, level, shift) for level in levels])
-            for shift in (0.0, 0.5)
-        )
+        # Chords of the last level have _SEEN samples somewhere.
+        few = float((x[_SEEN - 1 :] - x[: 1 - _SEEN]).min(initial=1.0))
+        last = min(max(math.floor(-math.log2(few)), _LONGEST), _SHORTEST)
+        gaps = np.stack([_gaps(x, rows, value, n) for n in range(_LONGEST, last + 3)], axis=1)
         return _Chords(t, *gaps)
 
-    @property
-    def _levels(self) -> list[tuple[int, float]]:
-        """Levels, and shifts of their chords, the finest last."""
-        known = range(_LONGEST, _LONGEST + len(self.gaps) - 2)
-        return [(level, shift) for level in known for shift in (0.0, 0.5)]
+    @cached_property
+    def _cells(self) -> list[tuple[float, Array, Array, Array]]:
+        """Each level, the finest last, with distances and numbers of samples of its chords.
 
-    def _cells(self, level: int, shift: float) -> tuple[Array, Array, Array]:
-        """Return the largest distances per chord of a level, two levels on, and sample counts."""
-        cell = np.floor(self.t / self.t[-1] * 2.0**level + shift)
-        begins = np.flatnonzero(np.append(True, np.diff(cell) > 0))
-        k = level - _LONGEST
-        rows = (self.between if shift else self.gaps)[k], self.gaps[k + 2]
-        sizes = np.diff(np.append(begins, len(cell)))
-        off, after = (np.maximum.reduceat(row, begins) for row in rows)
-        return np.where(sizes < _SEEN, 0.0, off), after, sizes
+        Distances are the largest per chord, and two levels on. Levels are counted in halves: chords
+        of half levels begin between others. A chord with few samples has no distance.
+        """
+        found = []
+        for k in range(len(self.gaps) - 2):
+            for shift, rows in ((0.0, self.gaps), (0.5, self.between)):
+                cell = np.floor(self.t / self.t[-1] * 2.0 ** (k + _LONGEST) + shift)
+                begins = np.flatnonzero(np.append(True, np.diff(cell) > 0))
+                sizes = np.diff(np.append(begins, len(cell)))
+                off, after = (np.maximum.reduceat(x, begins) for x in (rows[k], self.gaps[k + 2]))
+                found.append(
+                    (k + _LONGEST + shift, np.where(sizes < _SEEN, 0.0, off), after, sizes)
+                )
+        return found
 
     def level(self, share: float) -> Array:
-        """Return at each time the last level whose chords pass over a change, (k,); 0 for none.
-
-        Levels are counted in halves: chords of half levels begin between others.
-        """
+        """Return at each time the last level whose chords pass over a change, (k,); 0 for none."""
         found = np.zeros(len(self.t))
-        for level, shift in self._levels:
-            off, after, sizes = self._cells(level, shift)
+        for level, off, after, sizes in self._cells:
             over = (off > share) & (after > _QUARTERED * off)
-            found[np.repeat(over, sizes)] = level + shift
+            if over.any():
+                found[np.repeat(over, sizes)] = level
         return found
 
     def kinks(self, share: float) -> int:
         """Return the number of steps below which steps jump over a kink of the functions."""
-        steps = 0
-        for level, shift in self._levels:
-            off, after, _ = self._cells(level, shift)
-            if np.any((off > share) & (after > _KINKED * off)):
-                steps = 2 ** (level + 1)
-        return steps
+        cut = slice(1, -1)
+        kinked = (
+            level
+            for level, off, after, _ in self._cells
+            # The first and the last chord of a half level are cut: a quarter of their length is
+            # half of it, and a smooth function only four times closer.
+            if np.any(((off > share) & (after > _KINKED * off))[cut if level % 1 else slice(None)])
+        )
+        last = max(kinked, default=None)
+        return 0 if last is None else 2 ** (math.floor(last) + 1)
 
     def places(self, level: Array, kinks: int, steps: int) -> Places:
         """Return sharp places from the last level that passes over a change at each time."""
@@ -487,17 +528,18 @@ class _Chords:
         return Places(2 ** (math.floor(level.max()) + 1) * _FINER, kinks, deepest)
 
 
-def _gap(x: Array, rows: Array, value: Callable[[Array], Array], level: int, shift: float) -> Array:
-    """Return the largest distances of rows from chords of a level, shape (k,)."""
-    left = np.floor(x * 2.0**level + shift) - shift
-    ends, which = np.unique(np.concatenate([left, left + 1]), return_inverse=True)
-    at_ends = value(np.clip(ends / 2.0**level, 0.0, 1.0))
-    first, second = np.split(at_ends[:, which], 2, axis=1)
+def _gaps(x: Array, rows: Array, value: Callable[[Array], Array], level: int) -> Array:
+    """Return the largest distances of rows from chords of a level, (2, k), at shifts 0 and 1/2."""
+    lefts = np.floor(x * 2.0**level + [[0.0], [0.5]]) - [[0.0], [0.5]]
+    first = np.diff(lefts, axis=1, prepend=-1.0) > 0
+    which = np.cumsum(first).reshape(first.shape) - 1
     # The first and the last chord may be cut.
-    low, high = (np.clip(end / 2.0**level, 0.0, 1.0) for end in (left, left + 1))
+    ends = np.clip((lefts[first] + [[0.0], [1.0]]) / 2.0**level, 0.0, 1.0)
+    at_ends = value(ends.ravel()).reshape(len(rows), *ends.shape)
+    left, right = at_ends[:, 0, which], at_ends[:, 1, which]
+    low, high = ends[:, which]
     part = (x - low) / np.where(high > low, high - low, 1.0)
-    off = rows - first - part * (second - first)
-    return np.asarray(np.abs(off).max(axis=0))
+    return np.asarray(np.abs(rows[:, None] - left - part * (right - left)).max(axis=0))
 
 
 # -- functions ---------------------------------------------------------------------------------
@@ -630,8 +672,7 @@ def _observed(system: MechanicalSystem, seen: Seen, path: _Path, run: Solution) 
     if k is not None:
         near = float(np.max(np.real(observable.value(system, states_of(run)))))
     leaves = [x for x in observable.leaves() if not isinstance(x, Custom)]
-    columns = [x.leaf_value(system, states_of(run)) for x in leaves]
-    whole = path.with_columns(run, columns)
+    whole = path.with_columns([x.leaf_value(system, path.nodes) for x in leaves])
     count = whole.Y.shape[1]
     operations, at = Operations(2 * count), np.arange(2 * count)
     inputs = Traced.array(operations, at[:count])

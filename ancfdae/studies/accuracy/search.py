@@ -65,8 +65,8 @@ _MOST = 4e7
 _EARLY = 5e5
 # Most restarts of the sequences because runs passed over sharp places of their paths.
 _LOOKS = 12
-# Largest cost of an HHT run, over the predicted cost, that is made because it may show that less is
-# needed.
+# Largest cost of HHT runs, over the predicted cost, that are made because they may show that less
+# is needed.
 _WORTH = 0.1
 
 
@@ -195,7 +195,7 @@ def _search(
         if not going:
             break
         runs = min(going, key=ways.__getitem__)
-        if not seer.resolved and seer in going and seer.work <= _WORTH * ways[runs]:
+        if not seer.resolved and seer in going and seer.pilot <= _WORTH * ways[runs]:
             runs = seer
         if not looks and seer.samples and spent.work > _EARLY:
             looks = 1

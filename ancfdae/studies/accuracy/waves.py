@@ -365,8 +365,8 @@ def fades(system: MechanicalSystem, run: Solution) -> bool:
 
 def speed(problem: InitialValueProblem) -> float:
     """Return the largest |s| of motions e^(s t) about the start, 1/s; zero without vibration."""
+    from ancfdae.modes.analysis import fastest
     from ancfdae.modes.linearised import LinearisationPoint
-    from ancfdae.modes.periods import fastest
 
     initial = problem.initial
     try:
