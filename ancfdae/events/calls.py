@@ -83,14 +83,15 @@ class EventRun:
             rule = "must choose steps itself with events, or with t_end in the design"
             repair = "Give HHT(step=...) or HHT(rtol=...)."
             raise InvalidInputError("integrator.steps", rule, repr(integrator.steps), repair)
-        known = {START: ModeSystem(START, system, require_events(events))}
+        known = {START: ModeSystem(START, system.in_all_states(), require_events(events))}
         require_kind("modes", modes or {}, (Mapping,), 'For example {"closed": Mode(scene)}.')
         if START in (modes or {}):
             rule = f"must not name a mode {START!r}, the model that the run begins with"
             raise InvalidInputError("modes", rule, repr(START), "Give that mode another name.")
         for name, mode in (modes or {}).items():
             require_kind(f"modes[{name!r}]", mode, (Mode,), "For example Mode(scene, events).")
-            known[name] = ModeSystem(name, assembled(mode.model, design), tuple(mode.events))
+            whole = assembled(mode.model, design).in_all_states()
+            known[name] = ModeSystem(name, whole, tuple(mode.events))
         for name, each in known.items():
             _require_mode(name, each, system, known)
         return EventRun(known, float(t_end), integrator, progress, free_end)
@@ -285,7 +286,7 @@ def assembled(
 ) -> MechanicalSystem:
     """Return the system of the model of a mode."""
     if isinstance(model, Scene):
-        return assemble(model, () if design is None else design)
+        model = assemble(model, () if design is None else design)
     return model
 
 
