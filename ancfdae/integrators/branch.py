@@ -19,7 +19,8 @@ branch of c. Any other step is followed in parts for which this holds,
 
 where d leads to the cubic through the positions and velocities at the ends of the step: the motion
 in the directions that constraints leave free. The step is right if the state that this path reaches
-at t_n+1 is its solution.
+at t_n+1 is its solution. Where Phi_q loses rank on the way, branches cross, and the path goes on
+along the one with bounded accelerations, if there is one (a parallelogram that is stretched).
 """
 
 from __future__ import annotations
@@ -48,6 +49,14 @@ _CURVED, _SHORTEST, _ITERATIONS = 0.1, 1e-9, 8
 SMALL = 1e-11
 # Two configurations differ if their distance exceeds APART times the distance that a step moves.
 APART = 1e-3
+# A motion is extrapolated across a place without rank from configurations at times _NODES before it
+# to times _BEYOND after it, in units of each of _REACHES times the time followed before. The
+# distance to a solution must be below _CROSSING times the motion since the place; on branches
+# that jump it is of order one. Next to the place round-off is magnified: later times help.
+_REACHES, _NODES, _BEYOND = (1.0, 0.1, 1e-2, 1e-3), np.array([1.0, 0.6, 0.2]), (0.2, 5.0, 100.0)
+_CROSSING = 1e-2
+# Most places without rank that are crossed in one call.
+_CROSSINGS = 1000
 # Most moves along the constraints from the end of a followed path towards the solution of the step:
 # from nearly half a turn away the moves begin tiny, and double.
 _MOVES = 400
@@ -215,10 +224,66 @@ def followed(
 ) -> tuple[float, Array]:
     """Follow a motion on its branch from (t, q) to `end`; return the time reached, and q there.
 
-    The time is less than `end` where Phi_q loses rank on the way. `guide` gives the aim of the
-    motion where constraints leave motions free; `taken` is a mask, (n_lam,), of the constraints
-    that are followed, by default all.
+    Where Phi_q loses rank on the way, the motion goes on along the branch on which its velocities
+    are continuous, if there is one; the time is less than `end` if there is none. `guide` gives the
+    aim of the motion where constraints leave motions free; `taken` is a mask, (n_lam,), of the
+    constraints that are followed, by default all.
     """
+    for _ in range(_CROSSINGS):
+        lost = to_singular(system, t, q, end, guide, taken)
+        beyond = None if lost[0] == end else _across(system, (t, q), lost, end, guide, taken)
+        if beyond is None:
+            return lost
+        t, q = beyond
+    return t, q
+
+
+def _across(
+    system: MechanicalSystem,
+    begin: tuple[float, Array],
+    lost: tuple[float, Array],
+    end: float,
+    guide: Aim | None,
+    taken: Array | None,
+) -> tuple[float, Array] | None:
+    """Return time and configuration beyond a place where Phi_q loses rank, or None.
+
+    `begin` and `lost` are time and configuration before the place and next to it. There branches
+    cross at an angle, and velocities are continuous on one of them only. The parabola through
+    configurations before the place is off this branch by the cube of the distance, and off branches
+    with jumps by its first power. At a dead point that stops a drive there is no solution beyond.
+    """
+    (t_0, q_0), (t_1, q_1) = begin, lost
+    for share in _REACHES:
+        reach, t, q = share * (t_1 - t_0), t_0, q_0
+        before, rows = t_1 - reach * _NODES, list[Array]()
+        for time in before.tolist():
+            if time > t:
+                t, q = to_singular(system, t, q, time, guide, taken)
+            rows.append(q)
+        if t < before[-1] or t == t_0:
+            return None
+        extrapolated = scipy.interpolate.KroghInterpolator(before, np.array(rows))
+        form = Form(system, system.constraint_q(t, q), taken)
+        for factor in _BEYOND:
+            beyond = min(end, t_1 + factor * reach)
+            guess = extrapolated(beyond)
+            allowed = _CROSSING * norm(guess - q_1, system.weights)
+            found = _solved(form, beyond, guess, allowed)
+            if found is not None and beyond > t_1:
+                return beyond, found
+    return None
+
+
+def to_singular(
+    system: MechanicalSystem,
+    t: float,
+    q: Array,
+    end: float,
+    guide: Aim | None = None,
+    taken: Array | None = None,
+) -> tuple[float, Array]:
+    """Follow a motion as `followed` does, but only up to where Phi_q loses rank."""
     h, least = end - t, _SHORTEST * (end - t)
     values = system.constraint_q(t, q)
     form = Form(system, values, taken)

@@ -30,6 +30,7 @@ from ancfdae.integrators.branch import (
     Place,
     closed,
     followed,
+    to_singular,
 )
 from ancfdae.integrators.recorder import Rows, SolutionRecorder
 from ancfdae.kernels import norm
@@ -219,7 +220,7 @@ def _singular_within(system: MechanicalSystem, rows: Rows) -> float | None:
         step = Rows(*(x[k : k + 2] for x in rows))
         t, end = step.t.tolist()
         begin = closed(system, t, step.q[0], None)
-        reached = t if begin is None else followed(system, t, begin, end, _cubic(step))[0]
+        reached = t if begin is None else to_singular(system, t, begin, end, _cubic(step))[0]
         if reached < end and _leads(system, step):
             return reached
     return None

@@ -469,7 +469,8 @@ def evaluate(
 
         return evaluated(objective, solution, system, modes, design)
     if modes is not None:
-        rule, repair = "must be left out for a run without events", "Leave them out."
+        rule = "must be left out for a run without events"
+        repair = "Call evaluate(objective, solution, model)."
         raise InvalidInputError("modes", rule, repr(modes), repair)
     from ancfdae.integrators.problem import InitialValueProblem
 

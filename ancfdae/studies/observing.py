@@ -85,8 +85,8 @@ def record_observables(
     ----------
     model, t_end, integrator, keep, events, modes, progress
         As in `simulate`. With events an int `keep` also stores both sides of every event, and a
-        sequence of times has the value before an event at its time. The memory is that of the
-        longest phase.
+        sequence of times has the value before an event at its time. Each phase is held whole while
+        it is observed.
     observables : sequence of Observable
     file : path, optional
         File to which rows of time and values are written as they arrive: a NumPy array, (n, 1 + k),

@@ -299,3 +299,82 @@ def test_the_law_of_the_splines_is_that_of_scipy():
     run = simulate(scene, 0.7, HHT(0.7 / 600))
     assert error(run, crank, same(run.t)) < 1e-9
     assert run.t[-1] == pytest.approx(t[np.argmax(same(t) > R + L)], abs=2 * 0.7 / 600)
+
+
+# -- a parallelogram, which is stretched twice in each turn ---------------------------------------
+
+
+A, D, START, SPEED = 0.3, 1.0, 0.5, 2.0
+
+
+def parallelogram(start, crossed=False):
+    """A driven parallelogram at the angle `start`, or its crossed form, and its rocker."""
+    crank_end = np.array([A * np.cos(start), A * np.sin(start)])
+    rocker_end = crank_end + np.array([D, 0.0])
+    if crossed:
+        # Reflected in the line from the end of the crank to the pivot of the rocker.
+        line = (np.array([D, 0.0]) - crank_end) / np.linalg.norm([D - crank_end[0], crank_end[1]])
+        across = rocker_end - crank_end
+        rocker_end = crank_end + 2 * (across @ line) * line - across
+    ends = ((0, 0), crank_end), (crank_end, rocker_end), ((D, 0), rocker_end)
+    crank, coupler, rocker = (
+        Beam(name, tuple(a), tuple(b), 1, SECTION, STEEL, rigid=True)
+        for name, (a, b) in zip(("crank", "coupler", "rocker"), ends, strict=True)
+    )
+    joints = [
+        Pin(crank.at_start),
+        Pin(rocker.at_start),
+        Pin(crank.at_end, coupler.at_start),
+        Pin(coupler.at_end, rocker.at_end),
+        RotationDriver(crank.at_start, ConstantAcceleration(SPEED), name="motor"),
+    ]
+    return rocker, Scene([crank, coupler, rocker], joints, (0, -9.81), project_start=True)
+
+
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.StabilityWarning")
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        HHT(0.01),
+        HHT(0.0137),
+        HHT(rtol=1e-4),
+        Radau(0.01),
+        Radau(rtol=1e-5),
+        IDA(1e-6),
+        DOP853(1e-6),
+    ],
+    ids=repr,
+)
+def test_a_parallelogram_stays_one_where_it_is_stretched(integrator):
+    """The rocker turns as the crank does: x = (D + A cos s, A sin s), s = START + SPEED t.
+
+    It is stretched at s = pi, 2 pi, 3 pi and 4 pi, where it could go on crossed, with a jump of the
+    rocker's velocity.
+    """
+    rocker, scene = parallelogram(START)
+    run = simulate(scene, 6.0, integrator)
+    assert run.outcome.success
+    s = START + SPEED * run.t
+    exact = np.stack([D + A * np.cos(s), A * np.sin(s)], axis=1)
+    assert np.max(np.abs(run.position(rocker.at_end) - exact)) < 1e-5
+
+
+def test_a_parallelogram_that_goes_on_crossed_is_found():
+    _, scene = parallelogram(START)
+    run = simulate(scene, 1.6, HHT(0.01))
+    first = int(np.argmax(run.t > (np.pi - START) / SPEED))
+    system = assemble(scene)
+    for crossed in (False, True):
+        rows = Rows(run)
+        if crossed:
+            _, other = parallelogram(START + SPEED * run.t[first], crossed=True)
+            after = simulate(other, float(run.t[-1] - run.t[first]), HHT(0.01))
+            count = len(run.t) - first
+            rows.rows[1][first:], rows.rows[2][first:] = after.q[:count], after.v[:count]
+        np.testing.assert_allclose(system.constraint(run.t[-1], rows.rows[1][-1]), 0.0, atol=1e-9)
+        watch = Watch(system, rows)
+        rows.instants = len(run.t)
+        lost = watch.missed(all_of_them=True)
+        assert (lost is not None) == crossed
+    assert lost.verdict is Verdict.OFF_ROOT
+    assert rows.kept == first

@@ -316,10 +316,10 @@ def observe(
 ) -> Array:
     """Return the values of an observable along a solution, shape (n_t,).
 
-    Energies, design variables and `custom` functions need the system that was integrated. Of a run
-    with events the values belong to the times `EventSolution.t`, in which an event has two entries:
-    the value just before it, then the value just after it. If the run passes modes, `system` is a
-    mapping of their names to their systems, ``{"start": assemble(scene), "closed": ...}``.
+    Energies, design variables and `custom` functions need the system that was integrated.
+    The values of a run with events belong to the times `EventSolution.t`. An event has two entries
+    there: the value just before it, then the value just after it. If the run passes modes, `system`
+    is a mapping of their names to their systems, ``{"start": assemble(scene), "closed": ...}``.
     """
     repair = "Pass the observable that an objective is made of, without Integral or Terminal."
     require_kind("observe, observable", observable, (Observable,), repair)
