@@ -223,7 +223,7 @@ struct SceneFormulas : Index1 {
         Size size = n + m, n_b = design.n_b;
         const double *q = state, *v = state + rows * n, *X[] = {q, v};
         if (!derivatives)
-            return constraint_at<double>(p, room, c, q, speed ? v : nullptr, out);
+            return constraint_at<double>(p, room, speed, c, q, v, out);
         if (constant && !varied)
             return csr_rows<double>(m, p->B.first, p->B.columns, room->B, n_b, n,
                                     (speed ? v : q) + n, room->work, 1, size, out);
