@@ -27,7 +27,7 @@ from ancfdae.assembly.passed_contacts import Passed, passed_contacts
 from ancfdae.assembly.turning_lines import TurningLine
 from ancfdae.equations.solution_parts import ContactRecord, MissedContact
 from ancfdae.model.loads.contact import ContactLoad
-from ancfdae.model.loads.pair_contact import BeamPairContact, PairContact
+from ancfdae.model.loads.pair_contact import BeamPairContact, leaves_out
 from ancfdae.model.parts import Elements
 from ancfdae.numerics.arrays import Array
 
@@ -111,9 +111,7 @@ class RunContacts(ContactRecord):
         for line in lines:
             line.require(start)
         self._pairs: list[LeftOutPairs | TurningLine] = [
-            LeftOutPairs(load, naming, elements)
-            for load in pairs
-            if isinstance(load, PairContact) and load.reach is not None
+            LeftOutPairs(load, naming, elements) for load in pairs if leaves_out(load)
         ]
         self._pairs += lines
         self._last: tuple[Array, Array, Array] | None = None

@@ -166,7 +166,9 @@ class Works:
         """Return the evaluator of the power of a load; UnknownNameError if it is missing."""
         if (name, None) not in self._loads:
             load = named("load", name, self._scene.loads)
-            self._loads[name, None] = LoadFunction(self._inputs.load(load), self._n_b, power)
+            self._loads[name, None] = LoadFunction(
+                self._inputs.in_all_states(load), self._n_b, power
+            )
         return self._loads[name, None]
 
     def of_springs(self, name: str | None) -> list[LoadFunction]:

@@ -15,6 +15,7 @@ import numpy as np
 from ancfdae.assembly.joint_input import JointInput
 from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.layout import Layout
+from ancfdae.assembly.left_out_pairs import near_pairs
 from ancfdae.assembly.load_forces import LoadInput, own_numbers
 from ancfdae.assembly.naming import PointVector, SceneNaming, Vectors, point_vectors
 from ancfdae.assembly.numbering import Numbering
@@ -24,6 +25,7 @@ from ancfdae.model.bodies import BeamBody, MaterialPoint, Quantity, RigidBody
 from ancfdae.model.elements import ElementParameter
 from ancfdae.model.joints.joint import Joint, JointEquations, RightAngle, empty_equations
 from ancfdae.model.loads.load import Load
+from ancfdae.model.loads.pair_contact import leaves_out, without
 from ancfdae.model.parts import Elements, FrameDirection, Part
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.model.scene import Scene
@@ -277,6 +279,22 @@ class PartInputs:
     mapping: ParameterMap
     reference: Reference
     b: Array
+    elements: Elements
+
+    def along(self, q: Array, wider: float) -> PartInputs:
+        """Return the inputs in which contact loads have the pairs near states q, (k, n_q).
+
+        The inputs themselves are returned if they have these pairs.
+        """
+        found = dict[str, Array]()
+        for load in self.scene.loads:
+            if leaves_out(load):
+                near = near_pairs(load, self.naming, self.elements, q.real, wider)
+                if len(without(near, load.pairs(self.elements))):
+                    found[load.name] = near
+        if not found:
+            return self
+        return replace(self, elements=replace(self.elements, pairs=self.elements.pairs | found))
 
     def joints(self) -> JointStructure:
         """Return the structure of all joints, with the constraints of rigid bodies.
@@ -327,11 +345,18 @@ class PartInputs:
         points, p, p_b = self._part(load)
         vectors = self._vectors(points)
         reference, reference_b = self._in_reference(vectors)
-        own, own_b = own_numbers(load.copies(self.scene.elements), self.naming, p, p_b)
+        own, own_b = own_numbers(load.copies(self.elements), self.naming, p, p_b)
         n = len(reference) // max(len(own), 1)
         used = {i: x[:n] for i, x in reference_b.items()} if load.refers else {}
         masses = self._masses(load)
         return LoadInput(load, vectors, p, p_b, reference[:n], used, masses, own, own_b)
+
+    def in_all_states(self, load: Load) -> LoadInput:
+        """Return the input of one load that serves all states: contact with all pairs."""
+        if not leaves_out(load):
+            return self.load(load)
+        whole = replace(self, elements=replace(self.elements, pairs={}))
+        return whole.load(replace(load, reach=None))
 
     def _masses(self, load: Load) -> Array:
         """Return the masses of the vectors of the states of a load, (n_states,)."""
@@ -392,7 +417,7 @@ class PartInputs:
             last = first + len(point.numbers())
             places[point] = (p[first:last], p_b[first:last])
             first = last
-        names = part.vectors(self.scene.elements)
+        names = part.vectors(self.elements)
         return point_vectors(self.naming, names, places), p[:count], p_b[:count]
 
 
@@ -409,13 +434,18 @@ class Geometry:
 
     @staticmethod
     def of(
-        scene: Scene, layout: Layout, numbering: Numbering, mapping: ParameterMap, b: Array
+        elements: Elements,
+        scene: Scene,
+        layout: Layout,
+        numbering: Numbering,
+        mapping: ParameterMap,
+        b: Array,
     ) -> Geometry:
         """Return the geometry at design values b, with the structure of joints and loads."""
         lengths = mapping.values(b)[:, ElementParameter.LENGTH]
         naming = SceneNaming(layout, lengths, mapping.lengths_b(len(b)))
         reference = Reference(scene, mapping, b, naming)
-        inputs = PartInputs(scene, numbering, naming, mapping, reference, b)
+        inputs = PartInputs(scene, numbering, naming, mapping, reference, b, elements)
         return Geometry(naming, reference, inputs, inputs.joints(), inputs.loads())
 
     def at(self, b: Array) -> Geometry | None:
@@ -428,7 +458,7 @@ class Geometry:
         lengths = old.mapping.values(b)[:, ElementParameter.LENGTH]
         naming = SceneNaming(self.naming.layout, lengths, self.naming.lengths_b)
         reference = Reference(old.scene, old.mapping, b, naming)
-        inputs = PartInputs(old.scene, old.numbering, naming, old.mapping, reference, b)
+        inputs = replace(old, naming=naming, reference=reference, b=b)
         joints, loads = inputs.joints_like(self.joints), inputs.loads()
         pairs = zip(loads, self.loads, strict=True)
         if joints is None or not all(x.vectors.is_like(y.vectors) for x, y in pairs):

@@ -1,4 +1,4 @@
-"""Check for pairs of bodies that `reach` leaves out of a contact load but that touch."""
+"""Search for pairs of bodies near each other, and for pairs left out by `reach` that touch."""
 
 from __future__ import annotations
 
@@ -8,30 +8,64 @@ import numpy as np
 
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.equations.solution_parts import MissedContact
-from ancfdae.model.loads.pair_contact import PairContact
+from ancfdae.model.loads.pair_contact import PairContact, without
 from ancfdae.model.parts import Elements
 from ancfdae.numerics.arrays import Array
 
 # Largest change of a gap over the largest path of a node: balls around elements move and grow with
 # both of their ends.
 _WAYS: Final = 5.0
-# Smallest gap that is tested, as a fraction of the reach; below it only contact is tested.
+# Smallest gap that is tested, as a fraction of the reach; a pair with a smaller one counts as
+# touching.
 _LEAST: Final = 2.0**-7
+# Fraction 1/_PARTS of the reach by which nodes move between states in which neighbours are sought.
+_PARTS: Final = 20.0
+
+
+def near_pairs(
+    load: PairContact, naming: SceneNaming, elements: Elements, q: Array, wider: float
+) -> Array:
+    """Return the pairs of a load that are near in states q, (k, n_q), shape (n, 2), at least one.
+
+    Gaps are at most the reach in one state, and half of it along a run. Along a run they are
+    measured wherever a node has moved by 1/20 of the reach, by which gaps change by 1/4 of it.
+    `wider` multiplies the reach.
+    """
+    assert load.reach is not None
+    places, reach = _places(load, naming, q), wider * load.reach
+    steps = [np.linalg.norm(np.diff(x, axis=0), axis=2).max(axis=1) for x in places]
+    way = np.concatenate([[0.0], np.cumsum(np.max(steps, axis=0))]) / (reach / _PARTS)
+    gap = reach if len(q) == 1 else (1 / 2 + _WAYS / _PARTS) * reach
+    at = np.interp(np.arange(np.ceil(way[-1]) + 1), way, np.arange(len(way)))
+    first = np.minimum(at.astype(int), max(len(q) - 2, 0))
+    found = list[Array]()
+    for k, s in zip(first.tolist(), (at - first).tolist(), strict=True):
+        now = [x[k] + s * (x[min(k + 1, len(x) - 1)] - x[k]) for x in places]
+        found.append(load.within(now, gap))
+    near = np.unique(np.concatenate(found), axis=0)
+    near = without(near, load.adjoining(load.places(elements)))
+    return near if len(near) else load.pairs(elements)
+
+
+def _places(load: PairContact, naming: SceneNaming, q: Array) -> list[Array]:
+    """Return the node positions of each body in states q, shape (k, n_nodes, d) each; m."""
+    names = (*load.whole_beams, *load.whole_bodies)
+    return [naming.nodes(q, name)[:, :, 0] for name in names]
 
 
 @final
 class LeftOutPairs:
     """Search along the cubic path of a run for pairs that touch but are left out.
 
-    If all gaps of such pairs exceed g, none touches before a node has moved by g / 5.
+    If all gaps of such pairs exceed g, none touches before a node has moved by g / 5. They are
+    measured again then, so that no pair has touched when one is found.
     """
 
     def __init__(self, load: PairContact, naming: SceneNaming, elements: Elements) -> None:
         assert load.reach is not None
         self._load, self._naming, self._reach = load, naming, load.reach
-        self._names = (*load.whole_beams, *load.whole_bodies)
         never = load.adjoining(load.places(elements))
-        self._listed = set(map(tuple, np.concatenate([load.pairs(elements), never]).tolist()))
+        self._known = np.concatenate([load.pairs(elements), never])
         self._missed: MissedContact | None = None
         # Remaining path of nodes until gaps are measured again; m.
         self._left = 0.0
@@ -51,7 +85,7 @@ class LeftOutPairs:
             if not self._left:
                 advice = (
                     f"Raise `reach` of load {self._load.name!r}, {self._reach:.6g}, or leave it "
-                    "out: a pair touches that it left out."
+                    "out: a pair touches that it left out, in a run that does not search again."
                 )
                 self._missed = MissedContact(float(t[k] + s * (t[k + 1] - t[k])), advice)
                 return
@@ -70,21 +104,19 @@ class LeftOutPairs:
         return np.asarray(np.max(sizes, axis=0))
 
     def _places(self, q: Array) -> list[Array]:
-        """Return the node positions of each body in states q, shape (k, n_nodes, d) each; m."""
-        return [self._naming.nodes(q, name)[:, :, 0] for name in self._names]
+        return _places(self._load, self._naming, q)
 
     def _free_way(self, places: list[Array]) -> float:
-        """Return how far nodes may move before a pair touches, m; zero if one touches."""
+        """Return how far nodes may move before a pair touches, m; zero if one may touch next."""
         now, gap = [x[0] for x in places], self._reach / 2
         while gap > _LEAST * self._reach:
             if self._all_listed(now, gap):
                 return gap / _WAYS
             gap /= 2
-        return gap / _WAYS if self._all_listed(now, 0.0) else 0.0
+        return 0.0
 
     def _all_listed(self, places: list[Array], gap: float) -> bool:
-        near = self._load.within(places, gap)
-        return self._listed.issuperset(map(tuple, near.tolist()))
+        return not len(without(self._load.within(places, gap), self._known))
 
 
 def _on_cubic(s: float, states: tuple[Array, Array, Array], k: int) -> Array:

@@ -51,6 +51,7 @@ from ancfdae.assembly.load_forces import LoadForces, LoadInput
 from ancfdae.assembly.numbering import Numbering, number
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.model.design import DesignVariable
+from ancfdae.model.parts import Elements
 from ancfdae.model.scene import Scene
 from ancfdae.model.scene_design import SCENE
 from ancfdae.numerics.arrays import STEP, Array
@@ -238,10 +239,12 @@ class Numbers:
         mapping: ParameterMap,
         b: Array,
         numbering: Numbering | None = None,
+        elements: Elements | None = None,
     ) -> Numbers:
         """Return the numbers of a scene, with the structure that other designs will share.
 
-        The `numbering` holds masses of states; by default they are computed from the mechanism.
+        The `numbering` holds masses of states; by default they are computed from the mechanism. The
+        `elements` hold pairs of contact loads; by default they are the ones of the scene.
         """
         if numbering is None:
             numbering = number(scene)
@@ -255,7 +258,7 @@ class Numbers:
         masses = tuple(mass.name for mass in scene.point_masses)
         bodies = numbering.bodies, numbering.beams
         layout = Layout(numbering.d, *bodies, masses, (), numbering.controllers, numbering.sliders)
-        geometry = Geometry.of(scene, layout, numbering, mapping, b)
+        geometry = Geometry.of(elements or scene.elements, scene, layout, numbering, mapping, b)
         parts = geometry.joints, geometry.loads
         structure = Structure.of(scene, design, mapping, numbering, layout, parts)
         # With the layout of the joints, which was not known before.

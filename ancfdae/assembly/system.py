@@ -12,6 +12,8 @@ from ancfdae.assembly.beam_sections import BeamSections
 from ancfdae.assembly.contact_checks import Groups, RunContacts
 from ancfdae.assembly.energies import Energies, Works
 from ancfdae.assembly.folds import Folds, first_mirrored
+from ancfdae.assembly.geometry import PartInputs
+from ancfdae.assembly.left_out_pairs import LeftOutPairs
 from ancfdae.assembly.load_forces import LoadInput
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbers import Numbers
@@ -30,6 +32,7 @@ from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import listed
 from ancfdae.model.design import DesignVariable, as_design
+from ancfdae.model.loads.pair_contact import leaves_out
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.pulses import SAMPLES, find_pulses
@@ -134,6 +137,7 @@ class AncfSystem(PlannedSystem):
             project_start=self._scene.project_start,
             force_round_off=self._elastic.round_off(self._reference.Z.ravel(), self.weights),
             breakpoints=self.inputs.breakpoints,
+            leaves_out=any(map(leaves_out, self._scene.loads)),
         )
 
     def breakpoints(self, t_end: float) -> tuple[float, ...]:
@@ -173,7 +177,8 @@ class AncfSystem(PlannedSystem):
 
     def sharp_loads(self) -> list[LoadInput]:
         """Return the loads whose force may change abruptly with positions or velocities."""
-        return self._loads.sharp()
+        found = self._loads.sharp()
+        return [self.inputs.in_all_states(x.load) if leaves_out(x.load) else x for x in found]
 
     @property
     def plan(self) -> Plan | None:
@@ -241,8 +246,23 @@ class AncfSystem(PlannedSystem):
         scene, design = self._scene, self._structure.design
         if np.any(b.real != self.b.real):
             scene.refuse_values(dict(zip(design, b.real.tolist(), strict=True)))
-        numbers = self._numbers.at(b) or Numbers.first(scene, design, self._mapping, b)
-        return AncfSystem(numbers, None if scene.rest is None else self._rest_numbers)
+        return self._of(self._numbers.at(b) or self._first(b, self.inputs))
+
+    def along(self, q: Array, wider: float = 1.0) -> AncfSystem:
+        """Return the same system with the pairs of contact loads near states q, (k, n_q).
+
+        The system itself is returned if it has these pairs. `wider` multiplies their reach.
+        """
+        inputs = self.inputs.along(q, wider)
+        return self if inputs is self.inputs else self._of(self._first(self.b, inputs))
+
+    def _first(self, b: Array, inputs: PartInputs) -> Numbers:
+        """Return numbers on a new structure, with the pairs of contact loads of `inputs`."""
+        design = self._structure.design
+        return Numbers.first(self._scene, design, self._mapping, b, elements=inputs.elements)
+
+    def _of(self, numbers: Numbers) -> AncfSystem:
+        return AncfSystem(numbers, None if self._scene.rest is None else self._rest_numbers)
 
     def value_limits(self) -> tuple[Array, Array]:
         """Return lower and upper limits of admissible values of each variable, (n_b,) each."""
@@ -255,7 +275,7 @@ class AncfSystem(PlannedSystem):
             return None
         from ancfdae.statics.equilibrium import RestingStart
 
-        return RestingStart(AncfSystem(self._rest_numbers))
+        return RestingStart(AncfSystem(self._rest_numbers).in_all_states())
 
     @cached_property
     def _rest_numbers(self) -> Numbers:
@@ -370,7 +390,15 @@ class AncfSystem(PlannedSystem):
         if not loads:
             return None
         groups = Groups.of(self._numbering, self.weights)
-        return RunContacts(loads, self.naming, self._scene.elements, groups, self.start()[0])
+        return RunContacts(loads, self.naming, self.inputs.elements, groups, self.start()[0])
+
+    def left_out(self) -> list[LeftOutPairs]:
+        """Return searches for pairs that touch but are left out, for one run."""
+        return [
+            LeftOutPairs(load, self.naming, self.inputs.elements)
+            for load in self._scene.loads
+            if leaves_out(load)
+        ]
 
     def constraint(self, t: float, *motion: Array) -> Array:
         """Return Phi, (n_lam,), or its time derivative of the order of the rates in `motion`."""

@@ -17,6 +17,9 @@ from ancfdae.errors.outcomes import RunOutcome
 from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.numerics.arrays import Array, Numbers
 
+#: Name of the mode in which every run with events begins.
+START = "start"
+
 
 @final
 @dataclass(frozen=True)
@@ -74,6 +77,15 @@ class EventSolution(PrintedTable):
     phases: tuple[Solution, ...]
     events: tuple[EventRecord, ...]
     outcome: RunOutcome
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """Name of the mode of each phase; ``"start"`` is the model that the run began with."""
+        names = []
+        for phase in self.phases:
+            before = [each.mode for each in self.events if each.time <= phase.t[0]]
+            names.append(before[-1] if before else START)
+        return tuple(names)
 
     @property
     def t(self) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, Protocol, final
 
 import numpy as np
 
@@ -166,6 +166,16 @@ class MissedContact(NamedTuple):
 
     time: float
     advice: str
+
+
+class LeftOut(Protocol):
+    """Protocol of searches along a run for pairs of bodies that touch but are left out."""
+
+    def follow(self, t: Array, q: Array, v: Array) -> None:
+        """Examine consecutive time points, (k,), the first of which was the last before."""
+
+    def missed(self) -> MissedContact | None:
+        """Return the first time at which such a pair touches, or None."""
 
 
 class ContactRecord(abc.ABC):

@@ -33,7 +33,7 @@ along a direction of (t, q, v).
 from __future__ import annotations
 
 import abc
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple, TypeAlias, final
@@ -43,7 +43,7 @@ import numpy as np
 from ancfdae.equations.complex_steps import ComplexSteps
 from ancfdae.equations.naming import Naming
 from ancfdae.equations.plans import CalledPlan, DesignPlan, FactorTable, ListPlan, Plan
-from ancfdae.equations.solution_parts import ContactRecord
+from ancfdae.equations.solution_parts import ContactRecord, LeftOut
 from ancfdae.errors.checks import require_array, require_finite, require_flag
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import listed
@@ -100,6 +100,9 @@ class SystemProperties:
         Whether an inconsistent start is projected instead of raising an error.
     routed : bool
         Whether a guide or a rope may leave its route, so that runs call `off_route`.
+    leaves_out : bool
+        Whether pairs of bodies that are far from each other are left out, so that runs call
+        `along`, and follow the pairs by `left_out`.
     force_round_off : float
         Round-off of Q in the norm sqrt(sum Q^2 / weights); zero if it is the round-off of Q
         itself. Newton corrections that stop decreasing at this level are accepted.
@@ -115,6 +118,7 @@ class SystemProperties:
     symmetric: bool = False
     project_start: bool = False
     routed: bool = False
+    leaves_out: bool = False
     force_round_off: float = 0.0
     breakpoints: tuple[float, ...] = ()
 
@@ -339,6 +343,23 @@ class MechanicalSystem(ComplexSteps):
     def contacts(self) -> ContactRecord | None:
         """Return a new record of the contacts of one run; None for a system without contacts."""
         return None
+
+    def along(self, q: Array, wider: float = 1.0) -> MechanicalSystem:
+        """Return the same system in the form that computes forces in states q, (k, n_q).
+
+        It is called if the system `leaves_out` pairs of bodies; by default it is itself. `wider`
+        multiplies the distance up to which pairs are near.
+        """
+        return self
+
+    @final
+    def in_all_states(self) -> MechanicalSystem:
+        """Return the system in the form that computes forces in all states, with all pairs."""
+        return self.along(self.start()[0][None], np.inf) if self.traits.leaves_out else self
+
+    def left_out(self) -> Sequence[LeftOut]:
+        """Return searches for pairs of bodies that touch but are left out; by default none."""
+        return ()
 
     def constraints_q(self, t: Array, *motion: Array) -> Array:
         """Return the values of `constraint_q` at k times, (k, nnz), for rows of the motion."""

@@ -27,6 +27,7 @@ class Verdict(Enum):
     OFF_ROUTE = "a guide is beyond the end of its beam, or a rope off its pulley"
     INDEFINITE = "the mass matrix ceases to be positive definite"
     MISSED_CONTACT = "the steps do not resolve a contact"
+    LEFT_OUT = "bodies touch that a contact load leaves out"
     LIMIT_POINT = "the load has a limit point, above which there is no equilibrium nearby"
 
 

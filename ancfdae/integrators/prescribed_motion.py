@@ -114,6 +114,7 @@ class Watch:
         # Whether the motion is known to be prescribed: other motions are not followed.
         self._driven = system.n_lam == system.n_q
         self._routed = system.traits.routed
+        self._left_out = system.left_out() if system.traits.leaves_out else ()
         self._inert = system.traits.constant_mass
         self._changes: Changes | None = None
 
@@ -125,7 +126,8 @@ class Watch:
         recorder = self._recorder
         self._right = min(self._right, recorder.instants)
         late = recorder.instants - self._right
-        if not late or (late < _TOGETHER and not all_of_them):
+        together = 1 if self._left_out or all_of_them else _TOGETHER
+        if late < together:
             return None
         # A diverged state overflows and counts as lying on no branch.
         with np.errstate(all="ignore"):
@@ -140,6 +142,11 @@ class Watch:
 
         None if right.
         """
+        for pairs in self._left_out:
+            pairs.follow(rows.t, rows.q.real, rows.v.real)
+            if missed := pairs.missed():
+                first = max(int(np.searchsorted(rows.t, missed.time)) - 1, 0)
+                return Lost(first, Verdict.LEFT_OUT, missed.advice)
         gone, verdict = self._system.mirrored(rows.q), Verdict.FOLDED
         if self._routed:
             off = self._system.off_route(*(x if gone is None else x[: gone[0]] for x in rows))
@@ -221,7 +228,7 @@ def _singular_within(system: MechanicalSystem, rows: Rows) -> float | None:
 def _leads(system: MechanicalSystem, step: Rows) -> bool:
     """Return whether the cubic through the ends of a step closes the joints in its middle.
 
-    Output times of an integrator may be too far apart to tell the way of the motion between them.
+    If output times are too far apart, the cubic is not the way of the motion between them.
     """
     (t, end), w = step.t.tolist(), system.weights
     middle = _cubic(step)((t + end) / 2)

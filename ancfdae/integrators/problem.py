@@ -377,9 +377,14 @@ class InitialValueProblem:
     derivative: InitialSensitivity | None = None
 
     @classmethod
-    def of(cls, system: MechanicalSystem, t_end: float) -> Self:
-        """Return the problem of a system up to `t_end`, with consistent start and scales."""
+    def of(cls, system: MechanicalSystem, t_end: float, q: Array | None = None) -> Self:
+        """Return the problem of a system up to `t_end`, with consistent start and scales.
+
+        The system computes forces in the states q, (k, n_q), by default in its start.
+        """
         require_positive("t_end", t_end)
+        if system.traits.leaves_out:
+            system = system.along(system.start()[0][None] if q is None else q)
         matrices = saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)[0]
         scales = Scales.of(system, initial, t_end)

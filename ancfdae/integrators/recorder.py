@@ -62,7 +62,9 @@ class SolutionRecorder:
                 "Use a larger step, fewer instants or a shorter run.",
             ) from error
         self.instants = 0
+        # State of step control, and before the last step with the number of time points then.
         self._control: tuple[float, ...] = ()
+        self._earlier: tuple[int, tuple[float, ...]] = (0, ())
         self.accepted: int | None = None
         self.iterations = self.factorisations = self.residuals = 0
         self.round_off_steps = self.rejected = self.continued = 0
@@ -114,6 +116,7 @@ class SolutionRecorder:
             self._arrays = [np.concatenate([x, np.zeros_like(x)]) for x in self._arrays]
         for array, value in zip(self._arrays, (t, q, v, a, lam, *derivatives), strict=True):
             array[rows] = value
+        self._earlier = self.instants, self._control
         self.instants, self._control = rows.stop, control
 
     def room(self, count: int) -> StateRows:
@@ -126,8 +129,8 @@ class SolutionRecorder:
     def take(self, t: Array, control: tuple[float, ...] = ()) -> None:
         """Add rows that are already written, at times t, s, and store the state of step control."""
         self._arrays[0][self.instants : self.instants + len(t)] = t
-        self.instants += len(t)
-        self._control = control
+        self._earlier = self.instants, self._control
+        self.instants, self._control = self.instants + len(t), control
 
     def beside(self, derivatives: tuple[Array, ...]) -> None:
         """Write design derivatives of states to the rows that `take` counts next."""
@@ -142,7 +145,7 @@ class SolutionRecorder:
     def cut(self, count: int) -> None:
         """Delete time points after the first `count`, and a step that is thus incomplete."""
         self.instants = 1 + (count - 1) // self._degree * self._degree
-        self._control = ()
+        self._control = self._earlier[1] if self.instants == self._earlier[0] else ()
 
     def back(self) -> None:
         """Delete the last recorded step and count it as rejected."""

@@ -37,6 +37,9 @@ _LOOSEST = 1e-9
 _LARGEST = 0.1
 EXACT = 1e-14
 
+# How often the reach of contact loads is doubled until a pair is found.
+_DOUBLINGS = 64
+
 
 class SteppedIntegrator(AdjointIntegrator):
     """An integrator under a `StepControl`: its forward runs, with and without derivatives.
@@ -182,8 +185,10 @@ class SteppedIntegrator(AdjointIntegrator):
         progress: bool,
     ) -> Solution:
         steps, started = self.steps, time.perf_counter()
-        rows, along = self.degree * steps.count(t_end) + 1, self._derivatives_along(system)
-        problem = InitialValueProblem.of(system, t_end)
+        along = self._derivatives_along(system)
+        # Such a run cannot be continued with other neighbours.
+        system = system.in_all_states() if along else system
+        problem = InitialValueProblem.of(system, t_end, None if after is None else after.q[-1:])
         problem = problem.differentiated() if along else problem
         scales = problem.scales
         if after is not None:
@@ -195,21 +200,28 @@ class SteppedIntegrator(AdjointIntegrator):
             after = after if len(after.t) > 1 else None
 
         def run(sizes_b: Array) -> Solution:
-            recorder = SolutionRecorder(system, rows, self.degree, along, after)
-            stepper, contacts = self._stepper(problem, t_end, sizes_b, recorder), system.contacts()
-            if after is None:
-                begun = steps.controller(t_end, stepper)
-                done = march(stepper, begun, recorder, t_end, progress)[0]
-            else:
-                controller = steps.controller(t_end, stepper, after.control)
-                taken, state = self.sizes(after), self._state_after(after)
-                reached = Reached(len(taken), float(after.t[-1]), float(taken[-1]), state)
-                done = march(stepper, controller, recorder, t_end, progress, reached)[0]
+            near, before = problem, after
+            while True:
+                done = self._marched(near, t_end, sizes_b, before, progress)
+                if done.outcome.verdict is not Verdict.LEFT_OUT:
+                    break
+                # The run goes on with the pair that comes close, which may be far before its step.
+                q, known = done.q[-1:], near.system
+                others = (known.along(q, 2.0**k) for k in range(_DOUBLINGS))
+                renewed = next((other for other in others if other is not known), known)
+                if renewed is known:
+                    break
+                near = InitialValueProblem.of(renewed, t_end, q)
+                before = done if len(done.t) > 1 else None
+            whole = system.along(done.q) if system.traits.leaves_out else system
+            contacts = whole.contacts()
             return with_contacts(done, contacts) if contacts else done
 
         if not along:
             solution = run(np.zeros(0))
             if sensitivities:
+                if system.traits.leaves_out:
+                    problem = InitialValueProblem.of(system, t_end, solution.q)
                 return self._differentiate(problem, solution, progress)
             return self._estimated(solution, scales)
         rough = self._rough().integrate(system, t_end, sensitivities=True, progress=progress)
@@ -218,6 +230,26 @@ class SteppedIntegrator(AdjointIntegrator):
         seconds = time.perf_counter() - started
         statistics = replace(solution.statistics, wall_seconds=seconds)
         return self._estimated(replace(solution, statistics=statistics), scales)
+
+    def _marched(
+        self,
+        problem: InitialValueProblem,
+        t_end: float,
+        sizes_b: Array,
+        before: Solution | None,
+        progress: bool,
+    ) -> Solution:
+        """Return the run `before`, if given, continued by steps to `t_end` or to a failure."""
+        rows, along = self.degree * self.steps.count(t_end) + 1, problem.derivative is not None
+        recorder = SolutionRecorder(problem.system, rows, self.degree, along, before)
+        stepper = self._stepper(problem, t_end, sizes_b, recorder)
+        if before is None:
+            begun = self.steps.controller(t_end, stepper)
+            return march(stepper, begun, recorder, t_end, progress)[0]
+        controller = self.steps.controller(t_end, stepper, before.control)
+        taken, state = self.sizes(before), self._state_after(before)
+        reached = Reached(len(taken), float(before.t[-1]), float(taken[-1]), state)
+        return march(stepper, controller, recorder, t_end, progress, reached)[0]
 
     def _derivatives_along(self, system: MechanicalSystem) -> bool:
         """Return whether design derivatives are integrated with the motion and control steps."""
@@ -254,7 +286,7 @@ class SteppedIntegrator(AdjointIntegrator):
         that has derivatives, and its outcome says so.
         """
         return self._differentiate(
-            InitialValueProblem.of(system, float(solution.t[-1]) or 1.0), solution
+            InitialValueProblem.of(system, float(solution.t[-1]) or 1.0, solution.q), solution
         )
 
     @in_one_thread

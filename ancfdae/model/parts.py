@@ -57,6 +57,8 @@ class Elements:
     #: Number of elements of each beam, and the reference position of a point as declared, (d,); m.
     counts: Mapping[str, int] = field(default_factory=dict)
     place_of: Callable[[MaterialPoint], Array] = lambda point: np.zeros(0)
+    #: Pairs of bodies or elements that may touch, (n, 2), by the name of the contact load.
+    pairs: dict[str, Array] = field(default_factory=dict)
 
     def at(self, point: MaterialPoint) -> BeamElement:
         """Return the element at a point; for a rigid body the default beam of the dimension."""

@@ -248,14 +248,7 @@ class SaddlePoint:
 
         Raises SingularMatrix if the matrix is singular to working precision or not finite.
         """
-        return self.factor_sum(((1.0, K),), B)
-
-    def factor_sum(self, terms: Terms, B: Array) -> Factorization:
-        """Return the factorisation for a sum K of at most three terms, each a factor and values.
-
-        Raises SingularMatrix as `factor` does.
-        """
-        envelope = self._envelope
+        terms, envelope = ((1.0, K),), self._envelope
         if envelope:
             lower, failed = envelope.factor(terms, B)
             if not failed:  # Every pivot has its sign.

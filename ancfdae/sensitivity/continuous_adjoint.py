@@ -82,7 +82,6 @@ class ContinuousAdjoint(GradientMethod):
     @in_one_thread
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
         """Return value and gradient of each objective by one run and a backward run for each."""
-        system = run.system
         for objective in objectives:
             if not all(isinstance(leaf, OverTime) for leaf in leaves(objective)):
                 raise InvalidInputError(
@@ -99,6 +98,7 @@ class ContinuousAdjoint(GradientMethod):
                 len(solution.t) - 1,
                 "Use shorter steps, or method=Adjoint().",
             )
+        system = run.system.along(solution.q)
         require_differentiable(system, solution.t, solution.q, solution.v)
         results = []
         for objective in objectives:

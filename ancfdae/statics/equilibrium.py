@@ -31,7 +31,12 @@ from ancfdae.equations.solution_parts import (
     pandas,
     rows_of_design,
 )
-from ancfdae.errors.kinds import AncfdaeError, CoarseMeshWarning, StabilityWarning
+from ancfdae.errors.kinds import (
+    AncfdaeError,
+    CoarseMeshWarning,
+    StabilityWarning,
+    UnlikelyValueWarning,
+)
 from ancfdae.errors.outcomes import Verdict, uninterrupted
 from ancfdae.errors.text import PrintedTable, TableText, listed
 from ancfdae.numerics.arrays import STEP, Array
@@ -259,6 +264,7 @@ def find_equilibrium(
         derivatives = Tangent(system, 0.0, end.q, end.lam).sensitivities()
     if end.outcome.success and not near:
         _warn_of_mesh(system, end.q)
+        _warn_of_passage(system, np.stack([q, end.q]))
         if not (end.definite and system.traits.symmetric):
             end = _judged(balance, end)
     work, seconds = balance.work, time.perf_counter() - began
@@ -280,6 +286,22 @@ def _warn_of_mesh(system: MechanicalSystem, q: Array) -> None:
         "about five times as much, derivatives by up to twenty-five times. Double the number of "
         "elements until this warning is gone.",
         CoarseMeshWarning,
+        stacklevel=5,
+    )
+
+
+def _warn_of_passage(system: MechanicalSystem, q: Array) -> None:
+    """Warn if surfaces touch on the straight way between two states q, (2, n_q), but at neither."""
+    contacts = system.contacts()
+    rate = q[1:] - q[:1]
+    if contacts is None or not contacts.passes(np.array([0.0, 1.0]), q, np.repeat(rate, 2, axis=0)):
+        return
+    warnings.warn(
+        "equilibrium: bodies or obstacles in contact loads lie between the start and this state, "
+        "and the search may have passed through them. Plot both states; to end on the side of the "
+        "start, bring bodies into touch by a damped motion, and start from its last state "
+        "(NodalState).",
+        UnlikelyValueWarning,
         stacklevel=5,
     )
 

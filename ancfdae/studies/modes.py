@@ -110,7 +110,7 @@ def modes(
     require_flag("highest", highest)
     if method is not None:
         require_kind("method", method, (DirectDifferentiation, Adjoint), "Direct() or Adjoint().")
-    system = as_system(model, design)
+    system = as_system(model, design).in_all_states()
     where = place(system, at)
     back = where.pull_back if system.n_b and isinstance(method, Adjoint) else None
     configuration = where.configuration(system.n_b > 0 and back is None)
@@ -143,7 +143,7 @@ def suggest_step(
     require_positive("per_period", per_period)
     if follow is not None:
         require_count("follow", follow, "Follow one motion or more, or None for all.")
-    system = as_system(model)
+    system = as_system(model).in_all_states()
     return suggestion(system, place(system, at).configuration(False), per_period, follow)
 
 

@@ -79,7 +79,7 @@ def equilibrium(
         At Ctrl-C; its `result` is the last equilibrium found.
     """
     require_count("max_steps", max_steps, _STEPS)
-    system = as_system(model, design)
+    system = as_system(model, design).in_all_states()
     if start is not None:
         _require_start_of(system, start)
     state = None if start is None else (start.q, start.lam)
@@ -177,9 +177,9 @@ class CriticalValue(Objective):
     def system(self) -> MechanicalSystem:
         """System whose equilibria are followed; the parameter is a design variable of it."""
         if not isinstance(self.model, Scene):
-            return as_system(self.model, self.design)
+            return as_system(self.model, self.design).in_all_states()
         others = require_sequence("design", () if self.design is None else self.design)
-        return as_system(self.model, [self.parameter, *others])
+        return as_system(self.model, [self.parameter, *others]).in_all_states()
 
     @property
     def index(self) -> int:

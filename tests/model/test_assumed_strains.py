@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ancfdae import BEAM_2D, BEAM_3D, EnhancedContinuum
-from ancfdae.assembly.elastic_forces import energy
+from ancfdae.assembly.elastic_forces import strain_energy
 from ancfdae.model.elements import Batch, ElementParameter
 from ancfdae.model.elements.continuum import prepare
 from ancfdae.sections import QuadratureSection
@@ -51,7 +51,7 @@ def test_energy_is_that_of_strains_in_vectors(element, form, assumed):
         Y = Y_o + 0.4 * random.standard_normal(Y_o.shape)
         expected = plain_strains.energy(Y, Y_o, L, points, law)
         # Sums of some hundred terms, cancelling by a factor of ten: 1e-13.
-        assert energy(inv.A, inv.g_o, Y[None])[0] == pytest.approx(expected, rel=1e-12)
+        assert strain_energy(inv.A, inv.g_o, Y[None])[0] == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("element", [BEAM_2D, BEAM_3D], ids=lambda e: e.name)

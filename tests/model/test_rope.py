@@ -530,3 +530,18 @@ def test_a_scene_refuses_pulleys_that_the_rope_does_not_touch():
     ):
         with pytest.raises(InvalidInputError, match=words):
             Scene(bodies=[a], loads=[Rope((-1, -1), a.origin, [pulley], **good)])
+
+
+def test_an_end_that_crosses_its_pulley_within_a_part_of_a_step_is_seen():
+    """At 500 m/s and steps of 0.02 s it moves by 10 m, and a chord of the pulley is 0.05 to 0.2 m.
+
+    A straight flight at the height y enters the pulley of radius 0.1 m exactly if |y| < 0.1 m.
+    """
+    for x in np.linspace(1.0, 1.3, 5):
+        for y in (0.02, -0.09, -0.097):
+            load = body("load", (x, y), 1.0)
+            pulley = Pulley((0, 0), 0.1, clockwise=True)
+            rope = Rope((-1, -0.2), load.origin, [pulley], stiffness=1e-3, length=1e3, name="rope")
+            start = [InitialVelocity("load", 0.0, about=(0, 0), velocity=(-500.0, 0.0))]
+            scene = Scene([], [], loads=[rope], bodies=[load], start=start)
+            assert simulate(scene, 0.04, HHT(0.02)).outcome.verdict is Verdict.OFF_ROUTE

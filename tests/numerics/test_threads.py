@@ -78,13 +78,13 @@ def three_threads():
 @pytest.fixture
 def seen(monkeypatch):
     """Return what the limits are at every factorisation in Python."""
-    found, factor_sum = [], SaddlePoint.factor_sum
+    found, factor = [], SaddlePoint.factor
 
-    def watched(self, terms, B):
+    def watched(self, K, B):
         found.append(counts())
-        return factor_sum(self, terms, B)
+        return factor(self, K, B)
 
-    monkeypatch.setattr(SaddlePoint, "factor_sum", watched)
+    monkeypatch.setattr(SaddlePoint, "factor", watched)
     return found
 
 
@@ -143,11 +143,11 @@ def test_a_run_without_the_variables_has_one_thread():
         from test_threads import calls, counts
         from ancfdae.numerics.linear_solvers import SaddlePoint
         run = calls()["Radau"]
-        before, factor_sum, seen = counts(), SaddlePoint.factor_sum, set()
-        def watched(self, terms, B):
+        before, factor, seen = counts(), SaddlePoint.factor, set()
+        def watched(self, K, B):
             seen.update(counts())
-            return factor_sum(self, terms, B)
-        SaddlePoint.factor_sum = watched
+            return factor(self, K, B)
+        SaddlePoint.factor = watched
         run()
         assert seen == {1}, seen
         assert counts() == before, before

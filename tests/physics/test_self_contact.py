@@ -255,6 +255,19 @@ def test_elements_that_turn_too_much_are_refused_before_the_run():
         simulate(scene_of(nodes, length)[0], 1e-4, HHT(1e-5))
 
 
+def test_tangents_within_elements_are_looked_at():
+    # Nodes at 0.3 of their distance, with tangents along the line: it runs back within elements.
+    for part, refused in ((0.3, True), (0.8, False)):
+        nodes, length = along(lambda u: coil(u, 0.05, 0.5), 8)
+        nodes[:, 0] *= part
+        system = assemble(scene_of(nodes, length)[0])
+        if refused:
+            with pytest.raises(InvalidInputError, match="right angle"):
+                system.contacts()
+        else:
+            system.contacts()
+
+
 def test_a_run_ends_where_elements_turn_too_much():
     # A straight line whose halves turn towards each other.
     n = 8

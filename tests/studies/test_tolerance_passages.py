@@ -89,7 +89,7 @@ def test_a_transition_counts_if_two_runs_find_its_width(monkeypatch):
     assert runs.transitions == (10**7, 1e-6)
     assert runs.count == 10**7
     runs = looked(seer(), monkeypatch, 1e-6, 1e-5)
-    # The next run tells.
+    # The next run decides.
     assert runs.transitions == (10**6, 1e-5)
     assert runs.count == 256
     runs = looked(seer(), monkeypatch, 1e-6, None)

@@ -4,7 +4,8 @@ Rods that are clamped are spatial beams, others cables. Beams have a Poisson rat
 modulus of the scenarios, a third of Young's modulus, belongs to an incompressible material. Where
 an end is turned, the torsion constant of the section makes up for it. Results of scenarios that ask
 for an equilibrium are equilibria. Where rods cross, a damped motion lays them on each other before.
-Rods on a cylinder, and rods with an end that is turned, are damped motions.
+Rods on a cylinder, rods with an end that is turned, and a rope that is lowered and touches itself
+are damped motions.
 """
 
 from dataclasses import replace
@@ -25,6 +26,7 @@ from ancfdae import (
     Cylinder,
     Cylindrical,
     Material,
+    MovingSupport,
     NodalState,
     Pin,
     Plane,
@@ -43,6 +45,9 @@ from ancfdae.sections import Circle, GeneralSection
 # in radii, of a contact at its limit of friction; its restitution.
 _DEPTH, _SLIP = 1e-2, 0.2
 _BOUNCE: dict[str, Any] = {"restitution": 0.2, "impact_speed": 0.1}
+# Steps of the motion of a rope that heaps up in a frame, its slip speed, m/s, the time in which its
+# clamp starts and stops, s, and the reach of its neighbours, in radii.
+_HEAP_STEPS, _HEAP_SLIP, _EASED, _REACH = 90, 5e-3, 0.1, 8.0
 # Steps of a motion in a frame, and damping time of rods on their way to rest, s.
 _STEPS, _REST_STEPS, _DAMPED = 4, 8, 0.02
 # Part of the duration in which rods come to lie on each other.
@@ -52,7 +57,7 @@ _NU, _TWIST = 0.3, 0.1
 
 
 class AncfSolver:
-    """The package as a solver of cosseratbench; other scenarios raise NotImplementedError."""
+    """The package as a solver of cosseratbench."""
 
     name = "ancfdae"
 
@@ -62,8 +67,6 @@ class AncfSolver:
 
     def run(self, scenario: Any, *, n_elements: int, n_frames: int) -> Any:
         """Return the trajectory of a scenario."""
-        if scenario.self_contact and scenario.obstacles:
-            raise NotImplementedError("a rod that touches itself")
         # Elements that are twisted must be short; trajectories have the nodes that are asked for.
         finer = max(_finer(rod, n_elements) for rod in scenario.rods)
         times = np.linspace(0.0, scenario.duration, n_frames)
@@ -96,6 +99,8 @@ def _frames(scene: Scene, scenario: Any, times: Array) -> list[Array]:
     """Return vectors of the nodes of each rod at times, (n_t, n + 1, vectors, 3)."""
     frame = float(times[1])
     turned = any(rod.end_motion for rod in scenario.rods)
+    if scenario.obstacles and scenario.self_contact:
+        return _motion(scene, times, HHT(frame / _HEAP_STEPS))
     if scenario.obstacles:
         return _motion(scene, times, Radau(AdaptiveSteps(1e-4)))
     if turned or not scenario.quasi_static:
@@ -117,7 +122,7 @@ def _motion(scene: Scene, times: Array, integrator: HHT | Radau) -> list[Array]:
     run = simulate(scene, float(times[-1]), integrator)
     if not run.outcome.success:
         raise FloatingPointError(str(run.outcome))
-    at = run.at(times)
+    at = run.at(np.minimum(times, run.t[-1]))
     return [at.nodes(beam.name) for beam in scene.beams]
 
 
@@ -135,7 +140,9 @@ def scene_of(scenario: Any, n: int) -> Scene:
         ends = (rod.start, beam.at_start, 0), (rod.end, beam.at_end, -1)
         for end, at, index in ends:
             place = rod.centerline[index]
-            if end.value == "pinned":
+            if index == 0 and rod.start_motion is not None:
+                joints.append(_lowered(beam, rod.start_motion, scenario.duration))
+            elif end.value == "pinned":
                 joints.append(Pin(at, ground=tuple(map(float, place))))
             elif end.value == "clamped" and (index == 0 or rod.end_motion is None):
                 joints.append(Clamp(at))
@@ -145,6 +152,11 @@ def scene_of(scenario: Any, n: int) -> Scene:
             for x in rod.loads
         ]
         loads += [_touching(beam.name, rod, x, scenario) for x in scenario.obstacles]
+        loads += (
+            [_heaped(beam.name, rod, scenario)]
+            if scenario.obstacles and scenario.self_contact
+            else []
+        )
     # Rods without weight do not press on each other.
     for k, rod in enumerate(scenario.rods if any(scenario.gravity) else ()):
         for j in range(k):
@@ -165,6 +177,33 @@ def scene_of(scenario: Any, n: int) -> Scene:
                 )
             )
     return Scene(beams, joints, scenario.gravity, starts, loads)
+
+
+def _lowered(beam: Beam, motion: Any, duration: float) -> MovingSupport:
+    """Return the support of a clamp that moves, without the corners of its motion."""
+    t = np.linspace(0.0, duration, 1 + int(2 * duration / _EASED))
+    before = np.linspace(0.0, _EASED, 101)[:, None]
+    way = np.linalg.norm(motion.displacement, axis=1)
+    travel = np.interp(t - before, motion.times, way).mean(axis=0)
+    return MovingSupport(beam.at_start, motion.displacement[-1], Spline(t, travel))
+
+
+def _heaped(beam: str, rod: Any, scenario: Any) -> BeamPairContact:
+    """Return the contact of a rope with itself: a tenth of its weight on a crossing."""
+    k_n = 0.1 * _weight(rod, scenario) * rod.length / (2 * rod.radius)
+    return BeamPairContact(
+        beam,
+        beam,
+        points_per_element=8,
+        stiffness=k_n / (10 * _DEPTH * rod.radius),
+        exponent=1.0,
+        **_BOUNCE,
+        radius=rod.radius,
+        friction=rod.friction,
+        slip_speed=_HEAP_SLIP,
+        reach=_REACH * rod.radius,
+        name="own",
+    )
 
 
 def _turning(beam: Beam, motion: Any) -> list[Any]:
@@ -194,6 +233,8 @@ def _beam(name: str, rod: Any, n: int, damping: float) -> tuple[Beam, NodalState
     m = rod.material
     material = Material(m.density, m.youngs_modulus, _NU, damping_time=damping)
     along = (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0])
+    if rod.start_motion is not None:  # The clamp holds its section straight.
+        tangents[0] = along
     element = BEAM_3D if clamped else CABLE_3D
     end = points[0] + rod.length * along
     beam = Beam(name, points[0], end, n, _section(rod), material, element=element)
@@ -223,9 +264,16 @@ def _touching(beam: str, rod: Any, obstacle: Any, scenario: Any) -> BeamContact:
         load = _weight(rod, scenario) * (rod.length / obstacle.radius)
     else:
         shape, load = Plane(obstacle.point, obstacle.normal), _weight(rod, scenario)
-    law: dict[str, Any] = {} if not friction else {
-        "friction": friction, "slip_speed": _SLIP * rod.radius / scenario.duration
-    }  # fmt: skip
+    law: dict[str, Any] = (
+        {}
+        if not friction
+        else {
+            "friction": friction,
+            "slip_speed": _HEAP_SLIP
+            if scenario.self_contact
+            else _SLIP * rod.radius / scenario.duration,
+        }
+    )
     return BeamContact(
         beam,
         shape,

@@ -216,7 +216,8 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
         t = self._known_instants(t_end)
         newton = self.newton_tolerance, self.max_iterations
         steps = Steps(self.steps.sizes(t), self.hht_alpha)
-        return Replay(InitialValueProblem.of(system, t_end), steps, t, newton)
+        problem = InitialValueProblem.of(system.in_all_states(), t_end)
+        return Replay(problem, steps, t, newton)
 
     def discretisation_error(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds
@@ -233,6 +234,6 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
         """Return the start of the recurrence and the nodes of a run, for a pass over it."""
         # The length of a run with one time point does not matter.
         steps = Steps(self.sizes(solution), self.hht_alpha)
-        problem = InitialValueProblem.of(system, float(solution.t[-1]) or 1.0)
+        problem = InitialValueProblem.of(system, float(solution.t[-1]) or 1.0, solution.q)
         first = RecurrenceStart.of(problem, steps.of(1))
         return first, Nodes(problem, solution, steps, first.node)

@@ -509,11 +509,17 @@ class HHTStepper(OneStepMethod[State]):
         return x.t, x.q, x.v, x.A, x.lam, () if b is None else (b.q_b, b.v_b, b.A_b, b.lam_b)
 
     def start_error(self) -> float:
-        """Return e of a first step of size 1 s, from the third derivative at the start."""
+        """Return e of a first step of size 1 s, from the third derivative at the start.
+
+        Zero if the matrices there are not finite, which the first step reports.
+        """
         if self._tolerance is None:
             return 0.0
         derivative, still = self._problem.derivative, Coefficients(0.0, self._alpha)
-        start = RecurrenceStart.of(self._problem, still)
+        try:
+            start = RecurrenceStart.of(self._problem, still)
+        except SingularMatrix:
+            return 0.0
         scale, jerk = constraint_error(Coefficients(1.0, self._alpha)), start.jerks[0].jerk
         size = self._problem.size(self._problem.initial.q)
         error = self._tolerance.of_motion(1.0, scale * jerk.real, size)

@@ -158,7 +158,7 @@ class Radau(SteppedIntegrator, PartwiseIntegrator):
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds, progress: bool = False
     ) -> Array:
         """Return the gradient of an objective, (n_b,), by the discrete adjoint."""
-        problem = InitialValueProblem.of(system, float(solution.t[-1]) or 1.0)
+        problem = InitialValueProblem.of(system, float(solution.t[-1]) or 1.0, solution.q)
         on, h = np.zeros((2, system.n_q)), self.sizes(solution)
         gradient, on = linear_passes.pull_back(problem, solution, h, seeds, on, progress)
         return linear_passes.through_start(problem, on, seeds, gradient)
@@ -167,6 +167,5 @@ class Radau(SteppedIntegrator, PartwiseIntegrator):
         """Return the run to `t_end` (s) in parts; its steps must be known in advance."""
         ends = self._known_instants(t_end)
         newton = self.newton_tolerance, self.max_iterations
-        return RadauReplay(
-            InitialValueProblem.of(system, t_end), self.steps.sizes(ends), ends, newton
-        )
+        problem = InitialValueProblem.of(system.in_all_states(), t_end)
+        return RadauReplay(problem, self.steps.sizes(ends), ends, newton)

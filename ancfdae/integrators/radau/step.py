@@ -67,7 +67,7 @@ class RadauStepper(OneStepMethod[State]):
 
     order: ClassVar[int] = 4
     bears_jumps: ClassVar[bool] = True
-    # A step of a small mechanism takes 0.2 to 3 ms.
+    # A step of a small mechanism takes 0.05 to 1 ms.
     many: ClassVar[int] = 5_000
     remedy: ClassVar[str] = (
         "Radau under error control follows every wave that its tolerance sees. HHT(step=...) steps "

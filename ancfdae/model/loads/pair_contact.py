@@ -3,7 +3,7 @@
 import abc
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, TypeGuard, final
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from ancfdae.model.bodies import MaterialPoint, Quantity
 from ancfdae.model.design import require_numbers
 from ancfdae.model.loads.contact import FORCE_FIELDS, ContactLoad, longest
 from ancfdae.model.loads.contact_law import moving_with, on_body
-from ancfdae.model.loads.load import LAW_FIELD, Copies
+from ancfdae.model.loads.load import LAW_FIELD, Copies, Load
 from ancfdae.model.loads.obstacles import CENTRE
 from ancfdae.model.parts import Elements, FrameDirection, LineVector, Vectors
 from ancfdae.numerics.arrays import Array
@@ -29,6 +29,8 @@ from ancfdae.numerics.vector_formulas import concatenate, dot, positive
 
 # Newton iterations for the closest point of a cubic, and how far xi may leave [0, 1] in them.
 _ITERATIONS, _BEYOND = 6, 0.3
+# How often the reach is doubled until a pair is found.
+_DOUBLINGS = 64
 # Half of the zone in which contact passes from an element to the next one, as a fraction of length.
 _ZONE = 0.1
 # Largest weight of a slope, over the element length, for xi up to _BEYOND outside [0, 1].
@@ -52,12 +54,18 @@ def _within(ends: Array, others: Array, reach: float | None) -> Array:
 
     trees = [cKDTree(x[:, :-1]) for x in (ends, others)]
     far = reach + ends[:, -1].max() + others[:, -1].max()
-    pairs = [(i, j) for i, near in enumerate(trees[0].query_ball_tree(trees[1], far)) for j in near]
-    found = np.array(pairs, dtype=int).reshape(-1, 2)
-    i, j = found.T
-    gaps = np.linalg.norm(ends[i, :-1] - others[j, :-1], axis=1) - ends[i, -1] - others[j, -1]
+    found = trees[0].sparse_distance_matrix(trees[1], far, output_type="ndarray")
+    i, j = found["i"], found["j"]
+    gaps = found["v"] - ends[i, -1] - others[j, -1]
     order = np.lexsort((j, i))
-    return found[order][gaps[order] <= reach]
+    return np.stack([i, j], axis=1)[order][gaps[order] <= reach]
+
+
+def without(pairs: Array, others: Array) -> Array:
+    """Return the rows of `pairs`, (n, 2), that are not among the `others`, (m, 2)."""
+    base = 1 + max(pairs.max(initial=0), others.max(initial=0))
+    rows, known = (x[:, 0] * base + x[:, 1] for x in (pairs, others))
+    return pairs[~np.isin(rows, known)]
 
 
 @dataclass(frozen=True)
@@ -85,7 +93,7 @@ class PairContact(ContactLoad):
         """
 
     def adjoining(self, places: Sequence[Array]) -> Array:
-        """Return the pairs, (n, 2), that never touch because one body continues the other.
+        """Return the pairs, (n, 2), that never touch because they are parts of one line.
 
         `places` are the positions of nodes in the reference configuration, as in `within`.
         """
@@ -103,17 +111,28 @@ class PairContact(ContactLoad):
 
     @final
     def pairs(self, elements: Elements) -> Array:
-        """Return the pairs that may touch, (n, 2); InvalidInputError if all are out of reach."""
-        places = self.places(elements)
-        found = self.within(places, self.reach)
-        beside = set(map(tuple, self.adjoining(places).tolist()))
-        if beside:
-            found = found[[tuple(pair) not in beside for pair in found.tolist()]]
-        if not len(found):
-            rule = "must reach a pair of bodies, or of elements that do not adjoin each other"
-            repair = "Give a larger one, or leave it out; divide a beam into more elements."
-            raise InvalidInputError(f"load {self.name!r}, reach", rule, self.reach, repair)
-        return found
+        """Return the pairs that may touch, (n, 2), at least one.
+
+        They are the `elements.pairs`, or the pairs within `reach` in the reference configuration.
+        Raises InvalidInputError if no pair may touch at any reach.
+        """
+        if self.name in elements.pairs:
+            return elements.pairs[self.name]
+        places, reach = self.places(elements), self.reach
+        never = self.adjoining(places)
+        for _ in range(1 if reach is None else _DOUBLINGS):
+            found = without(self.within(places, reach), never)
+            if len(found):
+                return found
+            reach = None if reach is None else 2 * reach
+        rule = "must have a pair of bodies, or of elements that do not adjoin each other"
+        repair = "Divide the beam into more elements."
+        raise InvalidInputError(f"load {self.name!r}", rule, "none", repair)
+
+
+def leaves_out(load: Load) -> TypeGuard[PairContact]:
+    """Whether a load leaves out pairs that are far from each other."""
+    return isinstance(load, PairContact) and load.reach is not None
 
 
 @final
@@ -134,8 +153,9 @@ class SphereContacts(PairContact):
     stiffness, exponent, restitution, impact_speed, friction, slip_speed
         As in `Contact`.
     reach : float, optional
-        Pairs whose gap in the reference configuration is larger are left out; m. A run in which
-        bodies of such a pair could have touched ends there with a message.
+        Pairs whose gap is larger are left out; m. Runs of HHT and Radau search for neighbours again
+        where such a pair comes close; other runs end there with a message. All pairs may touch by
+        default.
     """
 
     bodies: Sequence[str]
@@ -234,11 +254,10 @@ class BeamPairContact(PairContact):
     ``slip_speed``.
 
     If both names are the same the beam touches itself: coils, loops, a heap. Each pair of elements
-    counts once, with the Gauss points of the first one. Elements that share a
-    node do not touch each other, nor do elements between which the line is shorter than a diameter.
-    This is true while the line turns by less than a right angle in them: at least nine elements in
-    a turn. It is checked at the start of a run (InvalidInputError) and along the run, which ends
-    with a message where it fails.
+    counts once, with the Gauss points of the first one. Elements that share a node, or have less
+    than a diameter of line between them, do not touch each other. So the line must turn by less
+    than a right angle in them: nine elements or more in a turn. InvalidInputError if it does not at
+    the start of a run; a run ends with a message where it no longer does.
 
     Parameters
     ----------
@@ -295,9 +314,9 @@ class BeamPairContact(PairContact):
         return found if len(balls) == 2 else found[found[:, 0] < found[:, 1]]
 
     def adjoining(self, places: Sequence[Array]) -> Array:
-        """Return pairs of elements of one beam with less than a diameter between them, (n, 2).
+        """Return the pairs of elements with less than a diameter of one line between them, (n, 2).
 
-        Neighbours are among them. Without a second beam the list is of all k <= j.
+        They include neighbours and are ordered, k <= j. For two beams the array is empty.
         """
         if len(places) == 2:
             return super().adjoining(places)
