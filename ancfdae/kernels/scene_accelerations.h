@@ -50,7 +50,7 @@ struct SceneFormulas : Index1 {
      * constraints at held coordinates. */
     bool linear, constant, known = false, varied = false;
     const double *c[ORDERS_USED];
-    double *joints, *joints_b, *loads, *loads_b, *numbers, *U, *zero, *elastic, *total, *given;
+    double *joints, *joints_b, *loads, *loads_b, *numbers, *elastic, *total, *given;
     Complex *work, *of_load, *q_c, *v_c, *Q_c, *factors_c;
     std::vector<double> memory;
     std::vector<Complex> wide;
@@ -68,7 +68,6 @@ struct SceneFormulas : Index1 {
             load = std::max(load, load_work<Complex>(each.plan, 0));
         room_given<double>({{&joints, parts}, {&joints_b, n_b * parts}, {&loads, p->n_factors},
                             {&loads_b, n_b * p->n_factors}, {&numbers, ORDERS_USED * t->n_c},
-                            {&U, vectors_room(t, ORDERS_USED - 1)}, {&zero, n},
                             {&elastic, rows * n}, {&total, n_b * std::max(n, m)},
                             {&given, index_1_room()}, {&right, index_1_room()}},
                            0, &memory);
@@ -134,7 +133,7 @@ struct SceneFormulas : Index1 {
     /* Elastic forces, here with their derivatives, and other forces; -d^2 Phi/dt^2 at a = 0. */
     void sides(double, const double *state, double *x) override
     {
-        const double *q = state, *v = state + rows * n, *X[] = {q, v, zero};
+        const double *q = state, *v = state + rows * n;
         const double *damping = p->damped ? v : nullptr;
         Block<double> block = p->block;
         block.k = rows;
@@ -147,7 +146,7 @@ struct SceneFormulas : Index1 {
         memcpy(x, room->Q, (size_t)n * sizeof *x);
         memset(x + n, 0, (size_t)m * sizeof *x);
         if (!constant)
-            constraints<double>(p->constraints, p->numbers.l, RATE, 2, c, X, nullptr, U, x + n);
+            constraint_at<double>(p, room, 2, c, q, v, x + n);
         for (Size i = n; i < n + m; i++)
             x[i] = -x[i];
     }
