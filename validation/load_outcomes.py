@@ -313,7 +313,7 @@ class _Scene(RandomRun):
     def _add_events(self) -> None:
         """Add a stop below the first node or body, an end, and a switch that drops a load."""
         rng = self.rng
-        first = (self.model.beams or self.model.bodies)[0]
+        first: Any = (self.model.beams or self.model.bodies)[0]
         point = first.at_start if isinstance(first, Beam) else first.origin
         axis = 2 if len(self.model.gravity) == 3 else 1
         height = position(point, axis)
@@ -329,6 +329,8 @@ class _Scene(RandomRun):
         self.driven = self.driven or rng.random() < 0.5
         chosen = [x for x in events if rng.random() < 0.6] or events[:1]
         bare = replace(self.model, loads=self.model.loads[1:])
+        dropped = self.model.loads[0].name
+        self.design = [x for x in self.design if not x.startswith(f"{dropped}.")]
         self.given = {"events": chosen, "modes": {"bare": Mode(bare, events[:1])}}
 
     def wrong(self, run: Any) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.complex_steps import at_values
-from ancfdae.equations.event_solution import EventRecord, EventSolution, at_held_times
+from ancfdae.equations.event_solution import START, EventRecord, EventSolution, at_held_times
 from ancfdae.errors.checks import require_flag, require_kind, require_positive
 from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.events.adjoint import PhaseAdjoint, states_in
@@ -43,8 +43,6 @@ from ancfdae.sensitivity.method import GradientMethod, Run
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.perturbation import ComplexStep, FiniteDifference, Perturbation
 
-# Name of the mode in which every run begins.
-_OWN = "start"
 #: Name of the end time as a design variable.
 END = "t_end"
 
@@ -85,14 +83,14 @@ class EventRun:
             rule = "must choose steps itself with events, or with t_end in the design"
             repair = "Give HHT(step=...) or HHT(rtol=...)."
             raise InvalidInputError("integrator.steps", rule, repr(integrator.steps), repair)
-        known = {_OWN: ModeSystem(_OWN, system.in_all_states(), require_events(events))}
+        known = {START: ModeSystem(START, system.in_all_states(), require_events(events))}
         require_kind("modes", modes or {}, (Mapping,), 'For example {"closed": Mode(scene)}.')
-        if _OWN in (modes or {}):
-            rule = f"must not name a mode {_OWN!r}, the model that the run begins with"
-            raise InvalidInputError("modes", rule, repr(_OWN), "Give that mode another name.")
+        if START in (modes or {}):
+            rule = f"must not name a mode {START!r}, the model that the run begins with"
+            raise InvalidInputError("modes", rule, repr(START), "Give that mode another name.")
         for name, mode in (modes or {}).items():
             require_kind(f"modes[{name!r}]", mode, (Mode,), "For example Mode(scene, events).")
-            whole = _assembled(mode.model, design).in_all_states()
+            whole = assembled(mode.model, design).in_all_states()
             known[name] = ModeSystem(name, whole, tuple(mode.events))
         for name, each in known.items():
             _require_mode(name, each, system, known)
@@ -101,7 +99,7 @@ class EventRun:
     @property
     def system(self) -> MechanicalSystem:
         """The system of the mode in which the run begins."""
-        return self.modes[_OWN].system
+        return self.modes[START].system
 
     @property
     def b(self) -> Array:
@@ -124,7 +122,7 @@ class EventRun:
         The run keeps what `thin` returns of each phase.
         """
         march = PhaseMarch(self.modes, self.t_end, self.integrator, thin)
-        return march.run(self.modes[_OWN], self.progress, begins)
+        return march.run(self.modes[START], self.progress, begins)
 
     def at(self, b: Array) -> EventRun:
         """Return the same run with events at other design values b, shape (n_b,)."""
@@ -283,9 +281,10 @@ def _total(p: PhasePartials, x: PhaseDerivatives) -> Array:
     return np.asarray(total)
 
 
-def _assembled(
+def assembled(
     model: Scene | MechanicalSystem, design: Sequence[str | DesignVariable] | None
 ) -> MechanicalSystem:
+    """Return the system of the model of a mode."""
     if isinstance(model, Scene):
         model = assemble(model, () if design is None else design)
     return model

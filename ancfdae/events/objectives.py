@@ -11,7 +11,7 @@ observables that depend on time explicitly.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, NamedTuple, cast, final
@@ -32,10 +32,10 @@ from ancfdae.sensitivity.objectives.reductions import (
     Terminal,
 )
 from ancfdae.sensitivity.observables.expression import evaluated, leaf_weights, leaves
-from ancfdae.sensitivity.observables.observable import Observable, States, remembered
+from ancfdae.sensitivity.observables.observable import Observable, States, followed, remembered
 
-# A time after the end of a phase, by at most this fraction of the run, counts as that end.
-_SAME = 1e-12
+#: A time after the end of a phase, by at most this fraction of the run, counts as that end.
+SAME = 1e-12
 
 
 class PhaseTimes(NamedTuple):
@@ -123,24 +123,10 @@ def require_reductions(objectives: Sequence[Objective]) -> None:
                 raise InvalidInputError(where, rule, repr(leaf))
 
 
-def along_phases(
-    observable: Observable, phases: Sequence[PhaseStates]
-) -> list[dict[object, Array]]:
-    """Return values of an observable and its terms by node, itself last, for each phase."""
-    found: list[dict[object, Array]] = []
-    past: Mapping[object, float] = {}
-    for phase in phases:
-        states = phase.states
-        states = States(states.t, states.q, states.v, states.lam, states.degree, past)
-        nodes = observable.node_values(phase.system, states)
-        found.append(nodes)
-        past = remembered(nodes)
-    return found
-
-
 def at_times(observable: Observable, phases: Sequence[PhaseStates], times: Array) -> Array:
     """Return an observable at times of a run, shape (n,), interpolated in the phases."""
-    values = [list(nodes.values())[-1] for nodes in along_phases(observable, phases)]
+    parts = [(phase.system, phase.states) for phase in phases]
+    values = [list(nodes.values())[-1] for nodes in followed(observable, parts)]
     spans = [phase.times for phase in phases]
     read = (_Reduced(AtTimes(observable, [time]), spans, values) for time in times.tolist())
     return np.array([each.value().real for each in read])
@@ -289,7 +275,7 @@ class _Reduced:
         end = float(self._phases[-1].t[-1])
         ends = np.array([phase.t[-1] for phase in self._phases])
         for time in objective.instants(end):
-            k = min(int(np.searchsorted(ends, time - _SAME * end)), len(ends) - 1)
+            k = min(int(np.searchsorted(ends, time - SAME * end)), len(ends) - 1)
             grid, (start, D) = self._phases[k].grid, spans[k]
             share = (time - start) / D
             place = min(max(float(np.real(share)), 0.0), 1.0) * grid.t[-1]

@@ -31,7 +31,12 @@ from ancfdae.equations.solution_parts import (
     pandas,
     rows_of_design,
 )
-from ancfdae.errors.kinds import AncfdaeError, CoarseMeshWarning, StabilityWarning
+from ancfdae.errors.kinds import (
+    AncfdaeError,
+    CoarseMeshWarning,
+    StabilityWarning,
+    UnlikelyValueWarning,
+)
 from ancfdae.errors.outcomes import Verdict, uninterrupted
 from ancfdae.errors.text import PrintedTable, TableText, listed
 from ancfdae.numerics.arrays import STEP, Array
@@ -40,7 +45,7 @@ from ancfdae.numerics.threads import in_one_thread
 from ancfdae.statics.balance import Balance
 from ancfdae.statics.outcome import EquilibriumOutcome
 from ancfdae.statics.search import SearchEnd, search
-from ancfdae.statics.softness import Softness, softest
+from ancfdae.statics.softness import softest
 
 # The two parts of a saddle-point system's unknowns or equations.
 Parts: TypeAlias = tuple[Array, Array]
@@ -259,6 +264,7 @@ def find_equilibrium(
         derivatives = Tangent(system, 0.0, end.q, end.lam).sensitivities()
     if end.outcome.success and not near:
         _warn_of_mesh(system, end.q)
+        _warn_of_passage(system, np.stack([q, end.q]))
         if not (end.definite and system.traits.symmetric):
             end = _judged(balance, end)
     work, seconds = balance.work, time.perf_counter() - began
@@ -284,26 +290,35 @@ def _warn_of_mesh(system: MechanicalSystem, q: Array) -> None:
     )
 
 
+def _warn_of_passage(system: MechanicalSystem, q: Array) -> None:
+    """Warn if surfaces touch on the straight way between two states q, (2, n_q), but at neither."""
+    contacts = system.contacts()
+    rate = q[1:] - q[:1]
+    if contacts is None or not contacts.passes(np.array([0.0, 1.0]), q, np.repeat(rate, 2, axis=0)):
+        return
+    warnings.warn(
+        "equilibrium: bodies or obstacles in contact loads lie between the start and this state, "
+        "and the search may have passed through them. Plot both states; to end on the side of the "
+        "start, bring bodies into touch by a damped motion, and start from its last state "
+        "(NodalState).",
+        UnlikelyValueWarning,
+        stacklevel=5,
+    )
+
+
 def _judged(balance: Balance, end: SearchEnd) -> SearchEnd:
     """Return the end with its flutter; warn if round-off hides whether it is stable."""
     soft = softest(balance, 1.0, end.q, end.lam)
-    if end.outcome.stable_to is None and not end.definite:
-        _warn_of_neutral(soft)
+    if end.outcome.stable_to is None and not (end.definite or soft.judged):
+        warnings.warn(
+            "equilibrium: stability is undecided: its softest motion is neutral within the "
+            "round-off of the stiffness, or joints that depend on each other hide it. Repeat it at "
+            "a load that differs by 1 %, or look at the modes about this state.",
+            StabilityWarning,
+            stacklevel=4,
+        )
     outcome = replace(end.outcome, flutter=soft.flutter, flutter_searched=soft.seen_whole)
     return replace(end, outcome=outcome)
-
-
-def _warn_of_neutral(soft: Softness) -> None:
-    """Warn of an equilibrium if round-off hides whether it is stable."""
-    if soft.judged:
-        return
-    warnings.warn(
-        "equilibrium: stability is undecided: its softest motion is neutral within the round-off "
-        "of the stiffness, or joints that depend on each other hide it. Repeat it at a load that "
-        "differs by 1 %, or look at the modes about this state.",
-        StabilityWarning,
-        stacklevel=5,
-    )
 
 
 def resting(system: MechanicalSystem, q: Array, lam: Array, stable: bool) -> Equilibrium:

@@ -173,11 +173,8 @@ def simulate(
     return _warned(system, solution)
 
 
-def warn_of_strains(call: str, system: MechanicalSystem, q: Array, level: int = 3) -> None:
-    """Warn, once per call, of bodies strained too far at some states, rows of q.
-
-    `level` is the stack level of the caller of the call, as in `warnings.warn`.
-    """
+def warn_of_strains(call: str, system: MechanicalSystem, q: Array) -> None:
+    """Warn the caller of the call, once, of bodies strained too far at some states, rows of q."""
     strained: dict[str, float] = {}
     for k in np.linspace(0, len(q) - 1, min(len(q), _LOOKS)).round().astype(int):
         for name, strain in system.strained(q[k]).items():
@@ -191,7 +188,7 @@ def warn_of_strains(call: str, system: MechanicalSystem, q: Array, level: int = 
             f"{100 * worst**2:.2g} % (its gradient by twice that; cables bend exactly): take the "
             "results as estimates.",
             LargeStrainWarning,
-            stacklevel=level,
+            stacklevel=3,
         )
 
 
@@ -440,28 +437,40 @@ def _require_alone(where: str, **others: object) -> None:
 @in_one_thread
 def evaluate(
     objective: Objective,
-    solution: Solution,
+    solution: Solution | EventSolution,
     model: Scene | MechanicalSystem,
     *,
     design: Sequence[str | DesignVariable] | None = None,
+    modes: Mapping[str, Mode] | None = None,
 ) -> float:
     """Return the value of an objective on a finished run; `observe` is for observables.
 
-    Integrals are quadratures over the time points of the solution; in `gradient` IDA, IDAS and
-    DOP853 integrate them with the motion, which differs within their tolerance.
+    Integrals are quadratures over the time points of the solution; in `gradient` without events
+    IDA, IDAS and DOP853 integrate them with the motion, which differs within their tolerance.
 
     Parameters
     ----------
     objective : Objective
-    solution : Solution
-        A finished run, from a call or a file; `gradient` with ``after=solution`` differentiates.
+    solution : Solution or EventSolution
+        A finished run, from a call or a file; `gradient` with ``after=solution`` differentiates one
+        without events.
     model, design
         The model that was run, as in `gradient`.
+    modes : mapping of str to Mode, optional
+        The modes that a run with events passed, as in `simulate`.
     """
-    require_kind("solution", solution, (Solution,), "Call simulate, or load_solution.")
+    kinds = Solution, EventSolution
+    require_kind("solution", solution, kinds, "Call simulate, or load_solution.")
     system = as_system(model, design)
     t_end = float(solution.t[-1])
     require_objectives(system, [objective], t_end)
+    if isinstance(solution, EventSolution):
+        from ancfdae.studies.events import evaluated
+
+        return evaluated(objective, solution, system, modes, design)
+    if modes is not None:
+        rule, repair = "must be left out for a run without events", "Leave them out."
+        raise InvalidInputError("modes", rule, repr(modes), repair)
     from ancfdae.integrators.problem import InitialValueProblem
 
     InitialValueProblem.of(system, t_end).require_run(solution, t_end, "solution")

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from ancfdae.equations.event_solution import EventSolution
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.event_solution import START, EventSolution
 from ancfdae.errors.checks import require_count, require_kind
 from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.errors.outcomes import uninterrupted
-from ancfdae.events.calls import EventRun, solution, states_of
-from ancfdae.events.objectives import along_phases, require_reductions, value_of
+from ancfdae.events.calls import EventRun, assembled, solution, states_of
+from ancfdae.events.kinds import Mode
+from ancfdae.events.objectives import PhaseStates, require_reductions, value_of
 from ancfdae.events.phases import Beginning, PhasedRun
 from ancfdae.events.thinning import thinned
 from ancfdae.integrators.stepped import SteppedIntegrator
+from ancfdae.model.design import DesignVariable
 from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
 from ancfdae.sensitivity.method import Gradient, GradientMethod, UnfinishedRunError
 from ancfdae.sensitivity.objectives import AtTimes, Objective
-from ancfdae.sensitivity.observables.observable import Observable
+from ancfdae.sensitivity.observables.observable import Observable, observe, require_same_sizes
+from ancfdae.sensitivity.observables.observable import states_of as state_rows
 from ancfdae.studies.parts import Keep, instants
 
 
@@ -31,7 +35,7 @@ def simulated(run: EventRun, after: object = None, keep: Keep | None = None) -> 
     equal the steps of a run in one go. Phases hold all states, or their ends and
     the states that `keep` names.
     """
-    thin = None if keep is None else thinned(_kept(keep, run.t_end))
+    thin = None if keep is None else thinned(kept_states(keep, run.t_end))
     if after is None:
         return uninterrupted(solution(run.phased(thin=thin)))
     require_kind("after", after, (EventSolution,), "Pass what simulate returned with events.")
@@ -46,7 +50,7 @@ def simulated(run: EventRun, after: object = None, keep: Keep | None = None) -> 
     )
 
 
-def _kept(keep: Keep, t_end: float) -> int | Array:
+def kept_states(keep: Keep, t_end: float) -> int | Array:
     """Return the number or times of the states to store; InvalidInputError for invalid ones."""
     if isinstance(keep, int):
         require_count("keep", keep, "keep=100 keeps one step of 100, and the ends of phases.")
@@ -69,8 +73,7 @@ def _beginning(run: EventRun, after: EventSolution) -> Beginning | None:
     if len(after.phases) == 1:
         return None
     t_0 = float(last.t[0])
-    records = [x for x in after.events if x.time <= t_0]
-    name, just = records[-1].mode, {x.name for x in records if x.time == t_0}
+    name, just = after.modes[-1], {x.name for x in after.events if x.time == t_0}
     if name not in run.modes:
         raise UnknownNameError("mode in which `after` ends", name, list(run.modes))
     happened = tuple(x for x in run.modes[name].events if x.name in just)
@@ -103,12 +106,37 @@ def values(run: EventRun, objectives: Sequence[Objective]) -> tuple[EventSolutio
     return found, np.array([value_of(objective, phases).real for objective in objectives])
 
 
+def evaluated(
+    objective: Objective,
+    found: EventSolution,
+    system: MechanicalSystem,
+    modes: Mapping[str, Mode] | None,
+    design: Sequence[str | DesignVariable] | None,
+) -> float:
+    """Return the value of an objective on the solution of a run that began with `system`."""
+    require_reductions([objective])
+    if not found.outcome.success:
+        raise _unfinished(found)
+    systems = {START: system}
+    for name, mode in (modes or {}).items():
+        require_kind(f"modes[{name!r}]", mode, (Mode,), "For example Mode(scene, events).")
+        systems[name] = assembled(mode.model, design)
+    phases = []
+    for name, phase in zip(found.modes, found.phases, strict=True):
+        if name not in systems:
+            raise UnknownNameError("mode of the run", name, list(systems))
+        require_same_sizes("model", systems[name], phase)
+        span = float(phase.t[0]), float(phase.t[-1] - phase.t[0])
+        phases.append(PhaseStates(systems[name], state_rows(phase), *span))
+    return float(value_of(objective, phases).real)
+
+
 def observed(run: EventRun, observable: Observable) -> tuple[EventSolution, Array]:
     """Return a finished run with events and an observable along all its phases, shape (n_t,)."""
     phased = run.phased()
     found = reached(phased)
-    nodes = along_phases(observable, states_of(phased))
-    return found, np.concatenate([list(each.values())[-1] for each in nodes])
+    systems = {phase.mode.name: phase.mode.system for phase in phased.phases}
+    return found, observe(observable, found, systems)
 
 
 def measured(
@@ -127,8 +155,13 @@ def reached(phased: PhasedRun) -> EventSolution:
     """Return the solution of a run; UnfinishedRunError if it did not reach its end."""
     found = uninterrupted(solution(phased))
     if not phased.outcome.success:
-        raise UnfinishedRunError(replace(found.phases[-1], outcome=found.outcome))
+        raise _unfinished(found)
     return found
+
+
+def _unfinished(found: EventSolution) -> UnfinishedRunError:
+    """Return the error of a run with events that did not reach its end."""
+    return UnfinishedRunError(replace(found.phases[-1], outcome=found.outcome))
 
 
 def gradients(

@@ -1,6 +1,6 @@
 """Taylor test of a gradient: first-order remainders must decrease with the square."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -12,6 +12,8 @@ from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_array, require_flag
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import PrintedTable, TableText
+from ancfdae.events.calls import EventRun
+from ancfdae.events.kinds import Event, Mode
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
@@ -21,8 +23,15 @@ from ancfdae.numerics.timing import progress_bar
 from ancfdae.sensitivity.method import Gradient, GradientMethod, finished
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.observable import states_of
+from ancfdae.studies import events as with_events
 from ancfdae.studies.accuracy.bars import observed_order
-from ancfdae.studies.calls import differentiable, gradient
+from ancfdae.studies.calls import (
+    as_system,
+    differentiable,
+    gradient,
+    require_objectives,
+    without_end,
+)
 
 
 @final
@@ -82,15 +91,19 @@ def taylor_test(
     method: GradientMethod | None = None,
     direction: Numbers | None = None,
     sizes: Numbers = (1e-3, 5e-4, 2.5e-4),
+    events: Sequence[Event] | None = None,
+    modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
 ) -> TaylorTest:
     """Check the gradient of an objective by runs at perturbed designs.
 
-    The perturbed runs repeat the steps of the unperturbed run.
+    The perturbed runs repeat the steps of the unperturbed run. With events, or with the end time in
+    the design, they are runs of their own: events move, and the value jumps by the discretisation
+    error where a phase takes another number of steps. Then take smaller `sizes` or steps.
 
     Parameters
     ----------
-    model, objective, t_end, integrator, design, method
+    model, objective, t_end, integrator, design, method, events, modes
         As in `gradient`; the method is the one under test.
     direction : sequence of float, optional
         Relative change of each design variable (absolute where it is zero); ones by default.
@@ -101,23 +114,37 @@ def taylor_test(
         Whether to show a progress bar, which counts the perturbed runs.
     """
     require_flag("progress", progress)
-    system, s = differentiable(model, design), require_array("sizes", sizes)
+    own, free_end = without_end(design)
+    system = as_system(model, own) if free_end else differentiable(model, own)
+    s = require_array("sizes", sizes)
     if s.ndim != 1 or len(s) < 2 or np.any(np.diff(s) >= 0) or s[-1] <= 0:
         raise InvalidInputError(
             "sizes", "must be two or more, positive and falling", sizes, "For example (1e-3, 5e-4)."
         )
-    given = np.ones(system.n_b) if direction is None else direction
-    relative = require_array("direction", given, (system.n_b,))
+    count = system.n_b + free_end
+    given = np.ones(count) if direction is None else direction
+    relative = require_array("direction", given, (count,))
     if not relative.any():
         repair = "Leave it out to change all variables."
         raise InvalidInputError("direction", "must change at least one variable", given, repair)
-    db = relative * design_sizes(system)
-    base = gradient(system, objective, t_end, integrator, method=method)
-    frozen = integrator.frozen(base.solution)
-    changes = []
-    for size in progress_bar(progress, s.tolist(), desc="taylor_test", unit="run"):
-        moved = system.with_values(system.b + size * db)
-        run = finished(advised(moved, frozen.integrate(moved, t_end)))
-        changes.append(objective.value(moved, states_of(run)) - base.value)
-    change = np.array(changes)
+    if events is not None or modes is not None or free_end:
+        require_objectives(system, [objective], t_end)
+        run = EventRun.of(system, t_end, integrator, events or (), modes, own, False, free_end)
+        base = with_events.gradients(run, [objective], method)[0]
+        db = relative * np.append(design_sizes(system), run.b[system.n_b :])
+
+        def value(size: float) -> float:
+            return float(with_events.values(run.at(run.b + size * db), [objective])[1][0])
+
+    else:
+        base = gradient(system, objective, t_end, integrator, method=method)
+        frozen, db = integrator.frozen(base.solution), relative * design_sizes(system)
+
+        def value(size: float) -> float:
+            moved = system.with_values(system.b + size * db)
+            run = finished(advised(moved, frozen.integrate(moved, t_end)))
+            return objective.value(moved, states_of(run))
+
+    bar = progress_bar(progress, s.tolist(), desc="taylor_test", unit="run")
+    change = np.array([value(size) for size in bar]) - base.value
     return TaylorTest(base, s, np.abs(change), np.abs(change - s * (base.gradient @ db)))

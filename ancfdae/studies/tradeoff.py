@@ -6,8 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import replace
+from typing import Any
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.event_solution import START
 from ancfdae.errors.checks import (
     require_count,
     require_each,
@@ -17,6 +19,8 @@ from ancfdae.errors.checks import (
 )
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.outcomes import Interrupted, Verdict, uninterrupted
+from ancfdae.events.calls import EventRun
+from ancfdae.events.kinds import Event, Mode
 from ancfdae.integrators.explicit import DOP853
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.sundials.ida import IDA
@@ -58,13 +62,18 @@ def work_precision(
     time_limit: float | None = None,
     executor: Executor | None = None,
     models: Mapping[str, Scene] | None = None,
+    events: Sequence[Event] | None = None,
+    modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
 ) -> WorkPrecision:
     """Measure processor time and errors of settings; a failed one is a row with its message.
 
+    With events multipliers, drift and energy are not compared: modes have other joints, and forces
+    and energies jump at events, whose times differ from setting to setting.
+
     Parameters
     ----------
-    model, objective, t_end, design, method, progress
+    model, objective, t_end, design, method, events, modes, progress
         As in `gradient`.
     settings : sequence of Integrator
         For example ``[HHT(step=h) for h in (0.01, 0.005)] + [HHT(rtol=1e-3), IDA(1e-6)]``.
@@ -79,16 +88,27 @@ def work_precision(
         Largest elapsed time for the runs of one setting, except the reference; s.
     executor, models : optional
         Executor of the runs, as in `sweep`, but not threads, which count each other's time; and
-        other models of the scene by name, compared in objective and gradient.
+        other models of the scene by name, compared in objective and gradient; not with events.
     """
     limits = repeats, time_limit
     settings = _checked(settings, reference, method, executor, *limits, progress)
     system = differentiable(model, design)
     require_objectives(system, [objective], t_end)
+    given: dict[str, Any] = {}
+    if events is not None or modes is not None:
+        runs = [EventRun.of(system, t_end, x, events or (), modes, design, False) for x in settings]
+        systems = {x.name: x for x in runs[0].modes.values() if x.name != START}
+        of_modes = {name: Mode(x.system, x.events) for name, x in systems.items()}
+        given = {"events": tuple(events or ()), "modes": of_modes}
+    if models and given:
+        rule, repair = "must be left out with events", "Compare the models one by one."
+        raise InvalidInputError("models", rule, sorted(models), repair)
     reference, why = (reference, "") if reference is not None else _suitable(system, t_end)
-    tasks = [Task(system, objective, t_end, reference, method, 1, None)]  # timed by nobody
+    first = Task(system, objective, t_end, reference, method, 1, None, given=given)
+    tasks = [first]  # timed by nobody
     for name, other in [("", system), *_others(models or {}, design)]:
-        tasks += [Task(other, objective, t_end, x, method, *limits, name) for x in settings]
+        own = replace(first, system=other, repeats=repeats, time_limit=time_limit, model=name)
+        tasks += [replace(own, integrator=x) for x in settings]
     measured = _measured(tasks, executor, progress)
     exact = _required(measured[0])
     rows = [compared(system, t, r, exact) for t, r in zip(tasks, measured, strict=True)]

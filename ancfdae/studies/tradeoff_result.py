@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, final
 
@@ -51,7 +51,8 @@ _LONG = 1.0
 class Task:
     """A measurement to make: a setting on a model; it pickles if system and objective do.
 
-    `model` is the name of another model than the reference's, else empty.
+    `model` is the name of another model than the reference's, else empty. `given` are the events
+    and modes that `gradient` takes; empty without events.
     """
 
     system: MechanicalSystem
@@ -62,6 +63,7 @@ class Task:
     repeats: int
     time_limit: float | None
     model: str = ""
+    given: Mapping[str, Any] = field(default_factory=dict)
 
 
 @final
@@ -69,14 +71,27 @@ class Task:
 class Results:
     """Value, gradient and errors of a finished run.
 
-    q and lam, (k, n), are the states at the common times. `drift`, (j, n_lam), holds the
-    constraints and `energy`, (j,), the total energy, J, at the times t of the run; `energy` is
-    empty for a system that is not a scene. `kinetic` is the largest kinetic energy, J.
+    q, (k, n), are the coordinates at the common times, t_end the last of these. `along` is None for
+    a run with events.
     """
 
     value: float
     gradient: Array
     q: Array
+    t_end: float
+    along: AlongMotion | None
+
+
+@final
+@dataclass(frozen=True)
+class AlongMotion:
+    """Errors along the motion of one system.
+
+    lam, (k, m), are the multipliers at the common times. `drift`, (j, m), holds the constraints and
+    `energy`, (j,), the total energy, J, at the times t of the run; `energy` is empty for a system
+    that is not a scene. `kinetic` is the largest kinetic energy, J.
+    """
+
     lam: Array
     drift: Array
     t: Array
@@ -119,7 +134,7 @@ def measure(task: Task) -> Measurement:
 def _repeated(task: Task) -> Measurement:
     def run() -> Gradient:
         settings = task.objective, task.t_end, task.integrator
-        return gradient(task.system, *settings, method=task.method)
+        return gradient(task.system, *settings, method=task.method, **task.given)
 
     clock = stopwatch()
     try:
@@ -133,14 +148,19 @@ def _repeated(task: Task) -> Measurement:
 
 
 def _results(system: MechanicalSystem, answer: Gradient) -> Results:
+    if answer.event_solution is not None:
+        end = float(answer.event_solution.t[-1])
+        q, _ = answer.event_solution.at(common_times(end))
+        return Results(answer.value, answer.gradient, q, end, None)
     solution = answer.solution
     # The end of a run with a fixed step may miss the end time by round-off.
-    common = solution.at(common_times(float(solution.t[-1])))
+    end = float(solution.t[-1])
+    common = solution.at(common_times(end))
     rows = np.unique(np.linspace(0, len(solution.t) - 1, _LOOKS).round().astype(int))
     t, q = solution.t[rows], solution.q[rows]
     drift = np.array([system.constraint(s, x) for s, x in zip(t.tolist(), q, strict=True)])
-    values = (answer.value, answer.gradient, common.q, common.lam, drift, t)
-    return Results(*values, *_energy(system, solution, rows))
+    along = AlongMotion(common.lam, drift, t, *_energy(system, solution, rows))
+    return Results(answer.value, answer.gradient, common.q, end, along)
 
 
 def _energy(system: MechanicalSystem, solution: Solution, rows: Array) -> tuple[Array, float]:
@@ -176,12 +196,15 @@ class MeasuredSetting:
         Smallest processor time of value and gradient over the repeats, s; time until the failure if
         the setting failed.
     states, multipliers, objective, gradient : float or None
-        Errors relative to the reference; None if the setting failed.
+        Errors relative to the reference; None if the setting failed, and of multipliers with
+        events.
     drift : float or None
-        Largest violation of a constraint as a distance, relative to the norm of the coordinates.
+        Largest violation of a constraint as a distance, relative to the norm of the coordinates;
+        None with events.
     energy : float or None
         Largest difference of the total energy (kinetic, strain and gravity) from the reference,
-        relative to the largest kinetic energy; None for systems that are not scenes.
+        relative to the largest kinetic energy; None with events, and for systems that are not
+        scenes.
     outcome : str
         How the run ended, or why there is none.
     model : str
@@ -391,16 +414,19 @@ def compared(
     if task.model:
         return row
     root = np.sqrt(system.weights)
-    t = common_times(float(exact.t[-1]))
+    row = replace(row, states=_largest_ratio((given.q - exact.q) * root, exact.q * root))
+    if given.along is None or exact.along is None:
+        return row
+    t = common_times(exact.t_end)
     forces, forces_0 = (
-        _forces(system, exact.q, lam, t) / root for lam in (given.lam - exact.lam, exact.lam)
+        _forces(system, exact.q, lam, t) / root
+        for lam in (given.along.lam - exact.along.lam, exact.along.lam)
     )
     return replace(
         row,
-        states=_largest_ratio((given.q - exact.q) * root, exact.q * root),
         multipliers=_largest_ratio(forces, forces_0),
-        drift=_drift(system, exact.q, t, given),
-        energy=_energy_error(given, exact),
+        drift=_drift(system, exact.q, t, given.along.drift),
+        energy=_energy_error(given.along, exact.along),
     )
 
 
@@ -411,7 +437,7 @@ def _forces(system: MechanicalSystem, q: Array, lam: Array, t: Array) -> Array:
     ).reshape(len(t), -1)
 
 
-def _drift(system: MechanicalSystem, q: Array, t: Array, given: Results) -> float:
+def _drift(system: MechanicalSystem, q: Array, t: Array, drift: Array) -> float:
     """Return the largest constraint error |Phi_i| over the norm of its row of Phi_q and of q."""
     if not system.n_lam:
         return 0.0
@@ -423,11 +449,11 @@ def _drift(system: MechanicalSystem, q: Array, t: Array, given: Results) -> floa
     ]
     length = np.sqrt(np.max(squares, axis=0))
     size = float(np.max(np.linalg.norm(q * np.sqrt(system.weights), axis=1)))
-    away = np.max(np.abs(given.drift), axis=0)
+    away = np.max(np.abs(drift), axis=0)
     return max(ratio(float(x), float(y) * size) for x, y in zip(away, length, strict=True))
 
 
-def _energy_error(given: Results, exact: Results) -> float | None:
+def _energy_error(given: AlongMotion, exact: AlongMotion) -> float | None:
     """Return the largest difference of energies over the largest kinetic energy.
 
     The energy of the reference is interpolated at the times of the run. None for systems that are

@@ -406,6 +406,39 @@ def test_derivative_in_a_restitution_of_zero_is_that_of_a_small_one(mu):
     np.testing.assert_allclose(slope[:2], P[:2], rtol=1e-9)
 
 
+def test_impulses_that_break_the_law_of_friction_are_told_from_those_that_keep_it():
+    """One contact with A = 1: closing at 2 m/s and sliding at 3 m/s, mu = 0.5: N = 2, T = -1."""
+    contacts = Contacts(np.eye(2), np.array([0]), np.array([0.5]))
+    r, zero = np.array([-2.0, 3.0]), np.zeros(1)
+    assert contacts.keep_law(np.array([2.0, -1.0]), r, zero)
+    wrong = {
+        "too small a push": (1.9, -0.95),
+        "a pull": (-2.0, 0.0),
+        "friction along the sliding": (2.0, 1.0),
+        "friction outside the cone": (2.0, -3.0),
+        "friction below its bound while it slides": (2.0, -0.9),
+        "no impulse": (0.0, 0.0),
+    }
+    for what, P in wrong.items():
+        assert not contacts.keep_law(np.array(P), r, zero), what
+
+
+@pytest.mark.parametrize("law", ImpactLaw)
+def test_an_impact_whose_branch_breaks_the_law_of_friction_is_refused(law, monkeypatch):
+    """A box slides into the floor with mu = 0.01; a branch that lets it stick is no solution."""
+    scene, events = tilted_box(0.01, law, e=0.6, g=0.0)
+    assert simulate(scene, 9e-3, Radau(3e-3), events=events).outcome.success
+    found = Contacts.branch
+
+    def sticking(self, r, least):
+        branch = found(self, r, least)
+        return replace(branch, sticks=np.ones_like(branch.sticks), slides=0.0 * branch.slides)
+
+    monkeypatch.setattr(Contacts, "branch", sticking)
+    with pytest.raises(InvalidInputError, match="must have impulses within the cones of friction"):
+        simulate(scene, 9e-3, Radau(3e-3), events=events)
+
+
 def test_impulses_are_found_where_friction_is_large():
     # Newton's method converges from no pyramid for the 263rd of these.
     random = np.random.default_rng(5)

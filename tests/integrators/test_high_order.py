@@ -20,6 +20,7 @@ from ancfdae import (
     ContinuousAdjoint,
     DirectDifferentiation,
     FiniteDifference,
+    FirstOrderLag,
     IndexReduction,
     Integral,
     Material,
@@ -40,6 +41,7 @@ from ancfdae.errors import (
     MissingPackageError,
     UnlikelyValueWarning,
 )
+from ancfdae.integrators.step_control.steps import Pace
 from ancfdae.laws import Constant
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.observables import custom
@@ -348,3 +350,34 @@ def test_a_controller_that_tears_at_its_section_is_told_the_steps_to_come():
             simulate(scene, 1.0, DOP853(1e-6, max_steps=4000))
     count = float(str(told.value).split()[1])
     assert 1e7 / 6.5 < count < 1e7 / 4
+
+
+def test_steps_that_noise_disturbs_are_counted_over_many_hundreds():
+    """Hundreds of steps of 1 ms and 0.3 ms in turn: the mean, 0.65 ms, predicts the rest."""
+    pace, t = Pace(100.0, 100_000, "remedy."), 0.0
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        for k in range(2200):
+            t += 1e-3 if k // 100 % 2 else 3e-4
+            assert not pace.stalls(t)
+            assert (len(told) > 0) == (k >= 1999)
+    assert f"about {(100.0 - 1.3) / 6.5e-4:.2g} steps are to come" in str(told[0].message)
+    quiet = Pace(60.0, 100_000, "remedy.")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for k in range(2200):
+            assert not quiet.stalls(6.5e-4 * (k + 1))
+
+
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.ManyStepsWarning")
+@pytest.mark.parametrize(
+    "integrator",
+    [HHT(0.01), HHT(rtol=1e-4), Radau(0.01), Radau(rtol=1e-4), DOP853(1e-6), IDA(1e-6)],
+    ids=repr,
+)
+def test_a_start_whose_derivatives_overflow_ends_the_run_in_words(integrator):
+    """A lag of 1e-5 s with a command of 1e300 N: c/tau is a number, c/tau^2 is not."""
+    body = RigidBody("body", (0, 0), mass=1.0, inertia=0.1)
+    lag = FirstOrderLag(body.origin, Constant(1e300), 1e-5, direction=(1.0, 0.0), name="lag")
+    run = simulate(Scene([], [], loads=[lag], bodies=[body]), 0.1, integrator)
+    assert not run.outcome.success

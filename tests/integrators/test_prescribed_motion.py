@@ -297,6 +297,33 @@ def test_high_order_checks_the_root_too(kind, monkeypatch):
     assert 0.48 < run.t[-1] <= 0.5
 
 
+def test_controlled_steps_that_leave_the_root_are_shortened_up_to_where_they_leave_it(monkeypatch):
+    """A crank with a free pendulum, on a root that ends at 0.5 s: the system says so here.
+
+    Steps of the core, taken in packets, are 2 ms long there. Unless each is looked at, the run ends
+    at the last one before 0.5 s; else shorter ones lead up to it.
+    """
+    arm, _ = rod(ConstantAcceleration(4.0))
+    pendulum = Beam("pendulum", (1.0, 0.0), (1.0, -0.5), 1, SECTION, STEEL, rigid=True)
+    joints = [
+        Pin(arm.at_start),
+        RotationDriver(arm.at_start, ConstantAcceleration(4.0), name="motor"),
+        Pin(pendulum.at_start, arm.at_end),
+    ]
+    scene = Scene([arm, pendulum], joints, (0, -9.81), project_start=True)
+    assert simulate(scene, 1.0, HHT(rtol=1e-4)).statistics.rejected == 0
+
+    def late(self, t, q):
+        (k,) = np.nonzero(t > 0.5)
+        return (int(k[0]), "motor") if len(k) else None
+
+    monkeypatch.setattr(type(assemble(scene)), "off_root", late)
+    run = simulate(scene, 1.0, HHT(rtol=1e-4))
+    assert run.outcome.verdict is Verdict.OFF_ROOT
+    assert 0.5 - 1e-6 < run.t[-1] <= 0.5
+    assert run.statistics.rejected > 0
+
+
 @pytest.mark.parametrize("integrator", [Radau(rtol=1e-2), HHT(rtol=1e-2)], ids=repr)
 def test_controlled_steps_turn_by_less_than_a_radian(integrator):
     """Whatever the tolerance: atol takes all of the estimate."""

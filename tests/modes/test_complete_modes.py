@@ -1,5 +1,7 @@
 """Vibrations are all returned, lowest first, beside bodies with many motions that creep."""
 
+from decimal import Decimal, localcontext
+
 import numpy as np
 import pytest
 import scipy
@@ -16,6 +18,7 @@ from ancfdae import (
 )
 from ancfdae.modes import damped, dense, sparse, undamped
 from ancfdae.modes import damped as completeness
+from ancfdae.modes.damped import proportional_exponents
 from ancfdae.modes.eigenpairs import Eigenpairs
 from ancfdae.modes.linearised import Linearised
 from ancfdae.modes.precise import NoModes
@@ -219,3 +222,38 @@ def test_one_vibration_found_twice_is_not_two():
     assert damped._are_distinct(small, Eigenpairs(z, X, 1e-9 * np.ones(2)))
     X[:, 1] = X[:, 0]
     assert not damped._are_distinct(small, Eigenpairs(z, X, 1e-9 * np.ones(2)))
+
+
+def test_real_exponents_of_strong_damping_have_all_their_digits():
+    """s^2 + tau z s + z = 0 in 60 digits: creeping, vibrating and growing motions (z < 0)."""
+    z = np.array([1e-6, 1.0, 3.9e4, 4.1e4, 1e9, -1e-4, -2e7])
+    tau = 0.01
+    s, _, number = proportional_exponents(tau, z, np.zeros(len(z)))
+    assert len(s) == 11  # four vibrations or the like, and pairs
+    with localcontext() as context:
+        context.prec = 60
+        for k, own in enumerate(z.tolist()):
+            half, square = Decimal(tau) * Decimal(own) / 2, Decimal(own)
+            left, mine = half * half - square, s[number == k]
+            if left < 0:
+                expected = [complex(-float(half), float((-left).sqrt()))]
+            else:
+                root = left.sqrt()
+                expected = sorted(float(x) for x in (-half - root, -half + root))
+                mine = np.sort(mine.real)
+            np.testing.assert_allclose(mine, expected, rtol=4e-16, err_msg=str(own))
+
+
+def test_real_roots_are_counted_below_zero_down_to_the_radius():
+    """Beside the cluster at -1/tau = -1000/s every root of the dense matrices is counted."""
+    small = linearised(cantilevers(4, (RUBBER, STEEL), (1e-3, 1e-3)))
+    s, _ = dense.damped(small, np.zeros((small.system.n_q, 0)), 1.0)
+    real = np.sort(s[s.imag == 0].real)
+    stiff = real[real < -2e3]
+    assert len(stiff) > 20
+    for far in (2.0 * abs(real[0]), 1.1 * abs(stiff[10])):
+        counted = np.sort(completeness._real_roots(small, far))
+        assert np.all((counted < 0) & (counted > -far))
+        # Between two places of a logarithmic scale, six for each factor of ten.
+        within = stiff[stiff > -far]
+        np.testing.assert_allclose(counted[counted < -2e3], within, rtol=10 ** (1 / 6) - 1)

@@ -1,5 +1,7 @@
 """Contact of bodies with each other: momenta, closed forms, meshes, derivatives, neighbours."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -14,15 +16,18 @@ from ancfdae import (
     Cylinder,
     InitialVelocity,
     Material,
+    Pin,
+    PointMass,
     Radau,
     RigidBody,
     Scene,
     SphereContacts,
     Terminal,
     assemble,
+    equilibrium,
     simulate,
 )
-from ancfdae.errors import InvalidInputError, UnknownNameError
+from ancfdae.errors import InvalidInputError, UnknownNameError, UnlikelyValueWarning
 from ancfdae.observables import (
     angular_momentum,
     kinetic_energy,
@@ -215,3 +220,30 @@ def test_a_load_between_bodies_is_refused_in_words():
     pair = BeamPairContact("rope", "line", stiffness=1.0, radius=0.1, other_radius=0.1)
     with pytest.raises(UnknownNameError, match="'line'"):
         Scene([rope], loads=[pair])
+
+
+def test_an_equilibrium_on_the_other_side_of_a_body_warns_of_the_way():
+    """Two ropes that cross 14 mm above each other; a load of 5 N takes the upper one below.
+
+    Its own weight alone leaves it above the other one, and nothing is between start and end.
+    """
+    kind = 4, Circle(0.002), Material(1000.0, 1e6, 0.3)
+    a = Beam("a", (-0.5, 0, 0), (0.5, 0, 0), *kind, element=CABLE_3D)
+    b = Beam("b", (-0.02, -0.5, 0.014), (0.02, 0.5, 0.014), *kind, element=CABLE_3D)
+    touch = BeamPairContact(
+        "a", "b", stiffness=1e6, radius=0.002, other_radius=0.002, points_per_element=16
+    )
+    pins = [Pin(x) for rope in (a, b) for x in (rope.at_start, rope.at_end)]
+    for mass, side in ((0.0, 1), (0.5, -1)):
+        bodies = [PointMass(b.at(0.5), mass)] if mass else []
+        scene = Scene([a, b], pins, (0, 0, -9.81), loads=[touch], bodies=bodies)
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            found = equilibrium(scene)
+        assert found.outcome.success
+        heights = [found.solution.position(x.at(0.5))[0, 2] for x in (a, b)]
+        assert np.sign(heights[1] - heights[0]) == side
+        passed = [x for x in told if x.category is UnlikelyValueWarning]
+        assert len(passed) == (side < 0)
+        assert all("between the start and this state" in str(x.message) for x in passed)
+        assert all(x.filename == __file__ for x in passed)

@@ -24,6 +24,7 @@ import abc
 import math
 import sys
 import warnings
+from collections import deque
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, final
 
@@ -35,6 +36,8 @@ from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.integrator import require_rtol
 from ancfdae.integrators.step_control.contracts import (
     Controller,
+    ErrorController,
+    KnownController,
     OneStepMethod,
     StepControl,
     Tolerance,
@@ -199,7 +202,7 @@ class PrescribedSteps(_KnownSteps):
 
 @final
 @dataclass(frozen=True, eq=False)
-class StepPlan(Controller):
+class StepPlan(KnownController):
     """A controller of known steps: sizes and ends of all steps, step n at index n."""
 
     all_sizes: Array
@@ -215,14 +218,6 @@ class StepPlan(Controller):
         """Return sizes and ends of the next steps from step n on; s."""
         packet = slice(n, n + _PACKET)
         return self.all_sizes[packet], self.ends[packet]
-
-    def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
-        """Return the next step if this one was solved, else NO_CONVERGENCE."""
-        return Verdict.NO_CONVERGENCE if error is None else n + 1
-
-    def state(self) -> tuple[float, ...]:
-        """Return an empty state: the times determine the steps."""
-        return ()
 
 
 def require_square(where: str, value: float) -> None:
@@ -331,7 +326,7 @@ class AdaptiveSteps(StepControl):
 
 
 @final
-class _Filter(Controller):
+class _Filter(ErrorController):
     """The digital filter of the module, which tries `first`, s, as first step.
 
     Its formulas are in `kernels/control.h`; they read and change `numbers` (`StepFilter` there).
@@ -393,40 +388,41 @@ def _root(x: float, order: int) -> float:
 # time is reached).
 _STEPS, _SHARE = 100, 1e-12
 # Steps count as steady if the last quarter of a hundred advances by a factor between these limits
-# relative to the quarter before, or a hundred relative to the hundred before: where stability
-# limits steps, repeated ones disturb quarters.
+# relative to the quarter before, or the last half of many hundreds relative to the half before:
+# repeated steps disturb quarters where stability or noise limits their size.
 _SLOWER, _FASTER = 0.5, 1.5
-# Number of hundreds of steps in a row that must predict too many steps before a warning.
-_IN_A_ROW = 20
+# Number of hundreds of steps that must predict too many steps before a warning.
+_HUNDREDS = 20
 
 
 @final
 class Pace:
     """Watches the times that the steps of a run reach; warns if the run will take too many steps.
 
-    It warns once, with the `remedy`, if twenty hundreds of steps in a row predict more than `many`
-    steps; if the solver is `sure` of its first steps, the first hundred suffices. Short steps
-    around a kick, at a start from rest, or where round-off disturbs some, do not predict the number
-    of later steps.
+    It warns once, with the `remedy`, if twenty hundreds of steps predict more than `many` steps; if
+    the solver is `sure` of its first steps, the first hundred suffices. Short steps around a kick,
+    at a start from rest, or where round-off disturbs some, do not predict the number of later
+    steps.
     """
 
     def __init__(self, t_end: float, many: int, remedy: str, *, sure: bool = False) -> None:
         self._t_end, self._many, self._remedy = t_end, many, remedy
-        self._least, self._told = _SHARE * t_end, False
-        self._foretold, self._hundred = _IN_A_ROW - 1 if sure else 0, 0.0
+        self._least, self._told, self._sure = _SHARE * t_end, False, sure
         self.restart(0.0)
 
     def restart(self, t: float) -> None:
         """Start counting steps anew at time t, s."""
-        self._mark = self._half = self._quarter = t
+        # Times before and after the last hundreds of steps.
+        self._ends = deque([t], maxlen=_HUNDREDS + 1)
+        self._half = self._quarter = t
         self._taken = 0
 
     def stalls(self, t: float) -> bool:
         """Count a step to time t, s; return whether the last hundred steps made no progress.
 
         A run without progress diverges, meets a jump too large to integrate, or integrates noise.
-        The number of steps of the run is predicted from the second half of the hundred, unless
-        steps still grow in it, or the run makes no progress.
+        The number of steps of the run is predicted from the last steps, unless these still grow, or
+        the run makes no progress.
         """
         self._taken += 1
         if 2 * self._taken == _STEPS:
@@ -435,18 +431,25 @@ class Pace:
             self._quarter = t
         if self._taken < _STEPS:
             return False
-        hundred, before = t - self._mark, self._quarter - self._half
-        stalled = hundred < self._least
-        pairs = (before, t - self._quarter), (self._hundred, hundred)
-        steady = any(_SLOWER * x <= y <= _FASTER * x for x, y in pairs)
-        self._hundred = hundred
-        h = (t - self._half) / (_STEPS / 2)
-        many = steady and not stalled and self._t_end - t > self._many * h
-        self._foretold = self._foretold + 1 if many else 0
-        if self._foretold >= _IN_A_ROW and not self._told:
-            self._tell(t, h)
-        self.restart(t)
+        stalled = t - self._ends[-1] < self._least
+        self._taken = 0
+        self._ends.append(t)
+        if not self._told and not stalled:
+            self._warn_of_many(t)
+        self._sure = False
         return stalled
+
+    def _warn_of_many(self, t: float) -> None:
+        """Warn if steady steps up to time t, s, predict too many steps."""
+        marks, steps = [self._half, self._quarter, t], _STEPS // 4
+        if not self._sure:
+            if len(self._ends) <= _HUNDREDS:
+                return
+            marks, steps = [self._ends[k] for k in (0, _HUNDREDS // 2, -1)], _HUNDREDS * _STEPS // 2
+        before, last = marks[1] - marks[0], marks[2] - marks[1]
+        h = (before + last) / (2 * steps)
+        if _SLOWER * before <= last <= _FASTER * before and self._t_end - t > self._many * h:
+            self._tell(t, h)
 
     def _tell(self, t: float, h: float) -> None:
         self._told = True
@@ -454,5 +457,5 @@ class Pace:
             f"about {(self._t_end - t) / h:.2g} steps are to come, of {h:.2g} s each as the last "
             f"ones: {self._remedy} Ctrl-C ends the run and keeps what is done.",
             ManyStepsWarning,
-            stacklevel=2,
+            stacklevel=3,
         )

@@ -32,9 +32,11 @@ from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.vector_formulas import angle, concatenate, cross, dot, positive
 
-# Largest motion of a point in a step, over the shortest tangent, without checks within the step;
-# number of points of the step that are otherwise checked.
-_LONG, _PLACES = 0.1, 33
+# Largest motion of a point in a step, over the shortest tangent, without checks within the step.
+# Otherwise points of the step are checked, _FINE of them on the way of a radius of the smallest
+# pulley, so that a chord between two lies within 1/512 of the radius below its surface. _PLACES are
+# the fewest and the most of them.
+_LONG, _FINE, _PLACES = 0.1, 8, (33, 4096)
 # Squared length of a tangent, over the squared distance of the centres, that counts as zero.
 _LEAST = 1e-12
 
@@ -390,11 +392,16 @@ class Rope(Load):
         rates = [np.sqrt(dot(x.V, x.V))[:, :1] for x in self._stations(U, V, p, U_o)]
         speeds = np.max([np.broadcast_to(x, shape) for x in rates], axis=0)
         short = np.min(lengths, axis=0)
-        far = h * (speeds[1:] + speeds[:-1]) > _LONG * np.minimum(short[1:], short[:-1])
+        # Both of two points may move.
+        way = h * (speeds[1:] + speeds[:-1])
+        far = way > _LONG * np.minimum(short[1:], short[:-1])
+        radii = [abs(x.radius.real) for x in self._stations(U, V, p, U_o) if x.radius != 0]
+        parts = _FINE * way[:, 0, 0].real / min(radii, default=np.inf)
+        counts = np.clip(np.ceil(parts), *_PLACES)
         for k in np.flatnonzero(far):
             if off is not None and k >= off[0]:
                 break
-            x, step = np.linspace(0.0, 1.0, _PLACES)[:, None, None], h[k]
+            x, step = np.linspace(0.0, 1.0, int(counts[k]))[:, None, None], h[k]
             bend = (1 - x) * step * V[k] - x * step * V[k + 1] + (2 * x - 1) * (U[k + 1] - U[k])
             on_way = self._off_at((1 - x) * U[k] + x * U[k + 1] + x * (1 - x) * bend, p, U_o)
             if on_way is not None:

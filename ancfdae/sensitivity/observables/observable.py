@@ -7,8 +7,8 @@ points and joints.
 from __future__ import annotations
 
 import abc
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Protocol, cast, final
 
 import numpy as np
@@ -17,8 +17,9 @@ from ancfdae.assembly.beam_sections import StatePartials
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.system import AncfSystem
 from ancfdae.equations import MechanicalSystem, Naming, Solution
+from ancfdae.equations.event_solution import START, EventSolution
 from ancfdae.errors.checks import require_kind
-from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.complex_step import require_derivative
 from ancfdae.numerics.threads import in_one_thread
@@ -293,38 +294,79 @@ def remembered(nodes: Mapping[object, Array]) -> dict[object, float]:
     return {node: float(x[-1]) for node, x in last}
 
 
+def followed(
+    observable: Observable, parts: Iterable[tuple[Named, States]]
+) -> Iterator[dict[object, Array]]:
+    """Yield the values of all nodes of an observable, itself last, in each part of a run.
+
+    What an observable remembers (counts of turns) passes from one part to the next.
+    """
+    past: Mapping[object, float] = {}
+    for system, states in parts:
+        nodes = observable.node_values(system, replace(states, past=past))
+        yield nodes
+        past = remembered(nodes)
+
+
 @in_one_thread
 def observe(
-    observable: Observable, solution: Solution, system: MechanicalSystem | None = None
+    observable: Observable,
+    solution: Solution | EventSolution,
+    system: MechanicalSystem | Mapping[str, MechanicalSystem] | None = None,
 ) -> Array:
     """Return the values of an observable along a solution, shape (n_t,).
 
-    Energies, design variables and `custom` functions need the system that was integrated.
+    Energies, design variables and `custom` functions need the system that was integrated. Of a run
+    with events the values belong to the times `EventSolution.t`, in which an event has two entries:
+    the value just before it, then the value just after it. If the run passes modes, `system` is a
+    mapping of their names to their systems, ``{"start": assemble(scene), "closed": ...}``.
     """
     repair = "Pass the observable that an objective is made of, without Integral or Terminal."
     require_kind("observe, observable", observable, (Observable,), repair)
-    require_kind("observe, solution", solution, (Solution,), "Call simulate or differentiate.")
-    if system is not None:
-        require_kind("observe, system", system, (MechanicalSystem,), "For example assemble(scene).")
-        _require_same_sizes(system, solution)
-    held = system is not None and system.n_b > 0 and not np.iscomplexobj(system.b)
-    if held and np.iscomplexobj(solution.q):
+    kinds = Solution, EventSolution
+    require_kind("observe, solution", solution, kinds, "Call simulate or differentiate.")
+    phases: Sequence[Solution] = (solution,) if isinstance(solution, Solution) else solution.phases
+    names = (START,) if isinstance(solution, Solution) else solution.modes
+    parts = []
+    for mode, phase in zip(names, phases, strict=True):
+        known = _known(system, mode, phase)
+        observable.check(known)
+        parts.append((known, states_of(phase)))
+    return np.concatenate([list(x.values())[-1] for x in followed(observable, parts)])
+
+
+def _known(
+    system: MechanicalSystem | Mapping[str, MechanicalSystem] | None, mode: str, phase: Solution
+) -> Named:
+    """Return the system of a phase, or the phase itself without one; raise for unfit ones."""
+    if isinstance(system, Mapping):
+        if mode not in system:
+            raise UnknownNameError("system of mode", mode, list(system))
+        system = system[mode]
+    elif system is not None and mode != START:
+        rule, got = "must be a mapping for a run that passes modes", f"one system and {mode!r}"
+        repair = f'For example {{"start": assemble(scene), "{mode}": assemble(other)}}.'
+        raise InvalidInputError("observe, system", rule, got, repair)
+    if system is None:
+        return phase
+    require_kind("observe, system", system, (MechanicalSystem,), "For example assemble(scene).")
+    require_same_sizes("observe, system", system, phase)
+    if system.n_b > 0 and not np.iscomplexobj(system.b) and np.iscomplexobj(phase.q):
         raise InvalidInputError(
             "observe",
             "a complex solution needs a system at complex design values",
             "real ones",
             "Use Observable.partials for derivatives.",
         )
-    names = solution if system is None else system
-    observable.check(names)
-    return observable.value(names, states_of(solution))
+    return system
 
 
-def _require_same_sizes(system: MechanicalSystem, solution: Solution) -> None:
+def require_same_sizes(where: str, system: MechanicalSystem, solution: Solution) -> None:
+    """Raise InvalidInputError unless a solution has the sizes of a system."""
     sizes, got = (system.n_q, system.n_lam), (solution.q.shape[1], solution.lam.shape[1])
     if sizes != got:
         rule, repair = "must be that of the solution", "Pass the system that was integrated."
         counts = (
             f"{sizes[0]} coordinates and {sizes[1]} multipliers where that has {got[0]}, {got[1]}"
         )
-        raise InvalidInputError("observe, system", rule, counts, repair)
+        raise InvalidInputError(where, rule, counts, repair)
