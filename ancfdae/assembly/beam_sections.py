@@ -266,8 +266,9 @@ class BeamSections:
     def _locate(self, point: MaterialPoint) -> tuple[int, float]:
         return self._layout.beam(point.beam).locate(point.fraction, point.before)
 
-    def require_material(self, where: str, point: MaterialPoint) -> None:
+    def require_material(self, point: MaterialPoint) -> None:
         """Raise InvalidInputError for a point outside its section, or in a hole of it."""
+        where = "von_mises, point"
         element, _ = self._element(point)
         section, sizes = element.batch.kind.section, element.batch.sizes[0].real.tolist()
         section = section.with_sizes(dict(zip(section.size_names(), sizes, strict=True)))

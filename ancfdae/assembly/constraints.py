@@ -102,7 +102,7 @@ class JointFactors:
     @cached_property
     def turns(self) -> bool:
         """Whether one of the joints prescribes an angle."""
-        return bool(np.any(self.by_turn(np.zeros(1))))
+        return self.driven and bool(np.any(self.by_turn(np.zeros(1))))
 
     def by_turn(self, t: Array) -> Array:
         """Return derivatives of the time factors in prescribed angles at t, (1, k, n_parts)."""
@@ -116,8 +116,7 @@ class JointFactors:
 
     def partials(self, t: Array, orders: int, n_b: int) -> Array | None:
         """Return the design partials of `spread`, (n_b, orders, k, n_parts); None without any."""
-        active = self.active
-        if not active:
+        if not (self.driven and self.active):
             return None
         result = np.zeros((n_b, orders, len(t), self._count))
         for slot in self._slots:
@@ -156,7 +155,7 @@ class JointConstraints:
         return JointFactors(self.structure.slots)
 
     @cached_property
-    def _partials(self) -> tuple[Array, ...]:
+    def partials(self) -> tuple[Array, ...]:
         """Design partials of the coefficients and of L, as the kernel takes them.
 
         The arrays are variable, number of the joint, first, part, entry and value.
@@ -209,7 +208,7 @@ class JointConstraints:
     @cached_property
     def active(self) -> list[int]:
         """Design variables that constraints depend on at fixed q."""
-        return np.flatnonzero(np.diff(self._partials[0])).tolist()
+        return np.flatnonzero(np.diff(self.partials[0])).tolist()
 
     @property
     def is_complex(self) -> bool:
@@ -295,7 +294,7 @@ class JointConstraints:
         factors, at_rest = self.factors.over(t, 2), (q, np.zeros_like(q))
         on_q = self.plan.evaluate(Constraints.FORCE, factors, lam, *at_rest)
         factors_b = self.factors.partials(t, 2, self.n_b)
-        rows = self.plan.totals(self._partials, factors, factors_b, None, None, at_rest, None)
+        rows = self.plan.totals(self.partials, factors, factors_b, None, None, at_rest, None)
         return on_q, self._by_time(q, t), np.einsum("kbn,kn->kb", rows, lam)
 
     def _by_time(self, q: Array, t: Array) -> Array:
@@ -345,7 +344,7 @@ class JointConstraints:
         # Gradients in entries of L, (k, n_l), and in coefficients for each order, (k, orders, n_c).
         gradients = self.plan.gradient(self.factors.over(t, orders), weights, *motion)
         on_l, on_c = (x.imag / STEP for x in gradients)
-        variable, _, first, part, entry, value = self._partials
+        variable, _, first, part, entry, value = self.partials
         on_parts = np.einsum("koc,okp->pc", on_c, self.factors.spread(t, orders))
         of_l = entry < on_l.shape[1]
         on_entries = np.where(
@@ -396,5 +395,5 @@ class JointConstraints:
             return np.zeros((len(t), n, self.n_b))
         factors = self.factors.spread(t, orders)
         factors_b = self.factors.partials(t, orders, self.n_b)
-        total = self.plan.totals(self._partials, factors, factors_b, lam, lam_b, motion, motion_b)
+        total = self.plan.totals(self.partials, factors, factors_b, lam, lam_b, motion, motion_b)
         return np.swapaxes(total, 1, 2)

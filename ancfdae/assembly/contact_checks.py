@@ -25,7 +25,7 @@ from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.passed_contacts import Passed, passed_contacts
 from ancfdae.assembly.turning_lines import TurningLine
-from ancfdae.equations.contact_record import ContactRecord, MissedContact
+from ancfdae.equations.solution_parts import ContactRecord, MissedContact
 from ancfdae.model.loads.contact import ContactLoad
 from ancfdae.model.loads.pair_contact import BeamPairContact, PairContact
 from ancfdae.model.parts import Elements

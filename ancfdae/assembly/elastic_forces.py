@@ -83,7 +83,7 @@ class ElasticForces:
         self._pair_weight = mapping.weights[pairs]
 
     @cached_property
-    def _law_b(self) -> tuple[Array, Array, Array, Array, Array, Array]:
+    def law_b(self) -> tuple[Array, Array, Array, Array, Array, Array]:
         """Derivatives of element invariants in design variables, in the order of `force_totals`."""
         order = np.lexsort((self._pair_variable, self._pair_element))
         places = np.arange(len(self._places.vectors) + 1)
@@ -136,7 +136,7 @@ class ElasticForces:
 
         The first rows of q and v are the state, the others its design derivatives.
         """
-        return self._elements.force_totals(q, v if self.damped else None, self._law_b)
+        return self._elements.force_totals(q, v if self.damped else None, self.law_b)
 
     def _along(self, states: tuple[Array, Array], rates: tuple[Array, Array]) -> Array:
         """Return the derivatives of -Q_s along rows of rates of q and v, shape (k, n_q)."""
@@ -187,7 +187,7 @@ class ElasticForces:
     def _partials(self, q: Array, v: Array, mu: Array | None) -> Array:
         """Return the design partials of -Q_s, (k, n_b, n_q), or their products with mu, summed."""
         v_or_none = v if self.damped else None
-        return self._elements.force_partials(q, v_or_none, mu, self._law_b, self._n_b)
+        return self._elements.force_partials(q, v_or_none, mu, self.law_b, self._n_b)
 
     def _partial_rates(
         self, q: Array, v: Array, rates: tuple[Array, Array], mu: Array | None

@@ -288,7 +288,7 @@ class Inertia:
         return LinearMap((first, pattern.columns[kept], self.values[kept]), self._n_q)
 
     @cached_property
-    def _M_b(self) -> LinearMap:
+    def M_b(self) -> LinearMap:
         """Map from accelerations a to (M a)_b as a flattened (n_b, n_q) array."""
         pairs = [x.partials for x in self._blocks]
         vectors = [x.vectors[of.block] for x, of in zip(self._blocks, pairs, strict=True)]
@@ -326,7 +326,7 @@ class Inertia:
 
     def times_b(self, a: Array) -> Array:
         """Return the design partial (M a)_b for one a or for rows, shape (..., n_q, n_b)."""
-        return self._M_b(a).reshape((*a.shape[:-1], self._n_b, self._n_q)).mT
+        return self.M_b(a).reshape((*a.shape[:-1], self._n_b, self._n_q)).mT
 
     def pull_back(self, a: Array, x: Array, gravity: bool = True) -> Array:
         """Return the sum over times of (M a - gravity)_b^T x, (n_b,); a, x of shape (k, n_q)."""

@@ -7,7 +7,7 @@ from typing import Final, final
 import numpy as np
 
 from ancfdae.assembly.naming import SceneNaming
-from ancfdae.equations.contact_record import MissedContact
+from ancfdae.equations.solution_parts import MissedContact
 from ancfdae.model.loads.pair_contact import PairContact
 from ancfdae.model.parts import Elements
 from ancfdae.numerics.arrays import Array

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, final
 
 import numpy as np
@@ -19,7 +20,7 @@ from ancfdae.model.loads.contact import ContactLoad
 from ancfdae.model.loads.load import Copies, Load
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.operations import Listed, Operations
-from ancfdae.numerics.patterns import SparsityPattern
+from ancfdae.numerics.patterns import LinearMap, SparsityPattern
 
 
 @final
@@ -287,6 +288,9 @@ class LoadForces:
                 self._steady = self._steady + row
             else:
                 self._timed.append((item, row))
+        # The sum of constant loads, (n_q,), and the rows that laws multiply, (n, n_q).
+        rows = [row for _, row in self._timed]
+        self.timed = self._steady, np.array(rows).reshape(len(rows), self._n_q)
         # One for each law of `factors` whose load depends on the motion and is no stiffness, else
         # zero.
         turning = np.zeros(len(self._timed))
@@ -299,19 +303,57 @@ class LoadForces:
         """Return the loads whose force may change abruptly with positions or velocities."""
         return [load.item for load in self._moving if load.item.load.sharp]
 
-    def timed(self) -> tuple[Array, Array]:
-        """Return the sum of constant loads, (n_q,), and the rows that laws multiply, (n, n_q)."""
-        rows = [row for _, row in self._timed]
-        return self._steady, np.array(rows).reshape(len(rows), self._n_q)
-
     def factors(self, t: Array) -> Array:
         """Return law values of loads at times t, (k, n): of constant loads, then of moving loads.
 
         The law of a load is followed by its signals.
         """
-        items = [item for item, _ in self._timed] + [load.item for load in self._moving]
-        columns = [item.factors(t, 0) for item in items]
+        columns = [item.factors(t, 0) for item in self._items]
         return np.concatenate(columns, axis=1) if columns else np.zeros((len(t), 0))
+
+    @property
+    def _items(self) -> list[LoadInput]:
+        """Loads in the order of `factors`: those that laws multiply, then moving ones."""
+        return [item for item, _ in self._timed] + [load.item for load in self._moving]
+
+    @property
+    def changing(self) -> bool:
+        """Whether a load has a law of time, or reads one."""
+        return any(item.load.law is not None for item in self._items) or (
+            self.factors(np.zeros(1)).shape[1] > len(self._items)
+        )
+
+    @cached_property
+    def changes(self) -> tuple[Array, LinearMap, tuple[tuple[int, int, LoadPlan], ...]]:
+        """What design variables change, as in `DesignPlan`: steady loads, rows of loads, plans.
+
+        Steady loads have the shape (n_b, n_q), the map takes factors of constant loads with a law.
+        """
+        steady, n_timed = np.zeros((self._n_b, self._n_q)), len(self._timed)
+        rows, moved = np.zeros((self._n_b, self._n_q, n_timed)), []
+        for i in self._active:
+            own = self._reaching(i)
+            steady[i] = own._steady.imag / STEP
+            numbers = [k for k, (item, _) in enumerate(self._timed) if i in item.active]
+            for k, (_, row) in zip(numbers, own._timed, strict=True):
+                rows[i, :, k] = row.imag / STEP
+            numbers = [k for k, load in enumerate(self._moving) if i in load.item.active]
+            moved += [(k, i, load.plan) for k, load in zip(numbers, own._moving, strict=True)]
+        flat = rows.reshape(self._n_b * self._n_q, n_timed)
+        at, of = np.nonzero(flat)
+        shape = self._n_b * self._n_q, n_timed
+        return steady, LinearMap.of(at, of, flat[at, of], shape), tuple(moved)
+
+    def factors_b(self, t: Array) -> Array | None:
+        """Return the design partials of `factors`, shape (n_b, k, n); None if all are zero."""
+        widths = [item.factors(t, 0).shape[1] for item in self._items]
+        ends = np.cumsum([0, *widths]).tolist()
+        factors_b = np.zeros((self._n_b, len(t), ends[-1]))
+        for i in self._active:
+            numbers = [k for k, item in enumerate(self._items) if i in item.active]
+            for k, item in zip(numbers, self._reaching(i)._items, strict=True):
+                factors_b[i, :, ends[k] : ends[k + 1]] = item.factors(t, 0).imag / STEP
+        return factors_b if factors_b.any() else None
 
     def force(self, q: Array, v: Array, t: Array) -> Array:
         """Return the sum Q of all loads at times t, shape (k, n_q)."""

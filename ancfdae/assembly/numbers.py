@@ -300,7 +300,8 @@ def _placed(
     pattern, mapping, n_b = structure.pattern, structure.mapping, len(b)
     curved = pattern.index(*geometry.joints.couplings)
     constraints = JointConstraints(geometry.joints, curved, pattern.size, n_b)
-    reached = structure.reaches_geometry(geometry)
+    moved = b.real != mapping.nominal
+    displaced = bool(moved.any() and moved[structure.reaches_geometry(geometry)].any())
     start = AssembledStart(
         structure.scene,
         structure.numbering,
@@ -309,7 +310,7 @@ def _placed(
         constraints,
         pattern,
         b,
-        bool(np.any((b.real != mapping.nominal)[reached])),
+        displaced,
     )
     return constraints, LoadForces(geometry.loads, pattern, n_b), start
 
@@ -327,7 +328,9 @@ def _masses(
     gravity, frame = (np.zeros(d), np.zeros((d, n_b))), (p, p_b)
     if scene.gravity is not None:
         gravity, frame = (p[:d], p_b[:d]), (p[d:], p_b[d:])
-    others = other_masses(scene, geometry.naming, structure.mapping, b, structure.masses)
+    others: tuple[MassBlocks, ...] = ()
+    if numbering.rigid.any() or scene.point_masses:
+        others = other_masses(scene, geometry.naming, structure.mapping, b, structure.masses)
     soft, pairs = structure.soft, block.mass_pairs
     of_pairs = soft.elements[pairs], soft.variables[pairs]
     derivative = lambda: MassPartials(*of_pairs, block.partials.m_b)  # noqa: E731

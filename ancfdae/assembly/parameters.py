@@ -15,6 +15,7 @@ from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.elements import ElementParameter
 from ancfdae.model.scene import Scene
+from ancfdae.model.scene_design import SCENE
 from ancfdae.numerics.arrays import Array
 
 
@@ -51,16 +52,15 @@ class ParameterMap:
             p_b[place, variable] = weight
         return p, p_b
 
-    def holding(self, owner: str, numbers: Sequence[float], count: int) -> ParameterMap:
-        """Return a copy of the map in which `numbers` replace the first `count` numbers of `owner`.
+    def with_scene(self, numbers: Sequence[float], count: int) -> ParameterMap:
+        """Return a copy of the map in which `numbers` replace the first `count` of the scene.
 
         No design variable drives the new numbers.
         """
-        moved, kept = len(numbers) - count, (x for x in self.slots.get(owner, []) if x[0] >= count)
+        moved, kept = len(numbers) - count, (x for x in self.slots.get(SCENE, []) if x[0] >= count)
         slots = [(place + moved, index, weight, offset) for place, index, weight, offset in kept]
-        held = (*numbers, *self.declared[owner][count:])
-        declared = self.declared | {owner: held}
-        return replace(self, declared=declared, slots=self.slots | {owner: slots})
+        declared = self.declared | {SCENE: (*numbers, *self.declared[SCENE][count:])}
+        return replace(self, declared=declared, slots=self.slots | {SCENE: slots})
 
     def values(self, b: Array) -> Array:
         """Return the element parameters at design values b, shape (n, 10), in the dtype of b."""

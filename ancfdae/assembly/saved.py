@@ -16,7 +16,7 @@ from ancfdae.assembly.layout import (
 )
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.equations import Solution, solution_file
-from ancfdae.equations.event_solution import EventRecord, EventSolution, read_phases
+from ancfdae.equations.event_solution import EventRecord, EventSolution
 from ancfdae.errors.checks import named, require_each, require_path
 from ancfdae.model.elements import ALL_ELEMENTS, BeamElement
 from ancfdae.numerics.arrays import Array
@@ -48,7 +48,7 @@ def load_event_solution(
         require_path("path of a solution", path),
         _naming("load_event_solution", elements),
     )
-    phases, records, outcome = read_phases(file, naming)
+    phases, records, outcome = solution_file.read_phases(file, naming)
     events = tuple(EventRecord(**record) for record in records)
     return EventSolution(tuple(Solution(**fields) for fields in phases), events, outcome)
 

@@ -23,8 +23,8 @@ from ancfdae.equations import (
     StateDirection,
     SystemProperties,
 )
-from ancfdae.equations.contact_record import ContactRecord
-from ancfdae.equations.plans import Plan
+from ancfdae.equations.plans import DesignPlan, FactorTable, Plan
+from ancfdae.equations.solution_parts import ContactRecord
 from ancfdae.equations.system import States
 from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError
@@ -180,7 +180,7 @@ class AncfSystem(PlannedSystem):
         """Arrays of the scene for time stepping in kernels; None in a rotating frame."""
         if self._turning is not None:
             return None
-        steady, rows = self._loads.timed()
+        steady, rows = self._loads.timed
         inertia, weights, factors = self._inertia, self.weights, self._constraints.factors
         return Plan(
             *self._elastic.tangent_places,
@@ -197,6 +197,33 @@ class AncfSystem(PlannedSystem):
             self._loads.plans,
             self._loads.turning,
         )
+
+    @cached_property
+    def design_plan(self) -> DesignPlan:
+        """What the design variables change in the arrays of `plan`."""
+        steady, loads, moved = self._loads.changes
+        return DesignPlan(
+            self.n_b,
+            self._elastic.law_b,
+            self._inertia.M_b.csr,
+            self._inertia.gravity_b.T + steady,
+            loads.csr,
+            self._constraints.partials,
+            moved,
+        )
+
+    @property
+    def timed(self) -> bool:
+        """Whether factors of joints or loads in `plan` change with time."""
+        return self._constraints.factors.driven or self._loads.changing
+
+    def factor_table(self, t: Array, derivatives: bool) -> FactorTable:
+        """Return the factors of joints and loads at times t, (k,), with design partials or None."""
+        joints, loads = self._constraints.factors, self._loads
+        values = joints.spread(t, 3), loads.factors(t)
+        if not derivatives:
+            return *values, None, None
+        return *values, joints.partials(t, 3, self.n_b), loads.factors_b(t)
 
     # -- the protocol --------------------------------------------------------------------------
 
@@ -240,7 +267,7 @@ class AncfSystem(PlannedSystem):
         assert scene is not None
         assert rest is not None
         if rest.gravity is not None:
-            mapping = mapping.holding("scene", rest.gravity, len(self._scene.gravity or ()))
+            mapping = mapping.with_scene(rest.gravity, len(self._scene.gravity or ()))
         return Numbers.first(scene, self._structure.design, mapping, self.b)
 
     def start(self) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from typing import Final, final
 import numpy as np
 
 from ancfdae.assembly.naming import SceneNaming
-from ancfdae.equations.contact_record import MissedContact
+from ancfdae.equations.solution_parts import MissedContact
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.loads.pair_contact import BeamPairContact
 from ancfdae.model.parts import Elements

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from contextvars import ContextVar
 from dataclasses import replace
 from functools import cached_property, wraps
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -87,6 +87,8 @@ class FormulaSystem(ListedSystem):
     """
 
     _formulas: Formulas
+    #: Formulas of the last system of the class that were traced and checked.
+    _checked: ClassVar[Formulas | None] = None
 
     def __init_subclass__(cls, **named: Any) -> None:
         """Make `with_values` of the class pass the traced formulas on to the system it returns."""
@@ -143,6 +145,13 @@ class FormulaSystem(ListedSystem):
             self._formulas = Formulas(self)
         finally:
             _TRACING.reset(token)
+        checked, content = kind._checked, self._formulas.content
+        if checked and checked.kind is kind and content and checked.content == content:
+            # The same operations as before: their lists and derivatives are there.
+            self._formulas = checked
+            self._declared_start()
+            self._warn_of_kinks()
+            return
         called = self._formulas.called
         message = (
             f"{kind.__name__}: each evaluation calls {' and '.join(called)}, which takes a hundred "
@@ -158,6 +167,7 @@ class FormulaSystem(ListedSystem):
         self._warn_of_kinks()
         if called:
             warnings.warn(message, NotTracedWarning, stacklevel=4)
+        kind._checked = self._formulas
 
     # -- what a user writes ----------------------------------------------------------------------
 
@@ -465,6 +475,16 @@ class FormulaSystem(ListedSystem):
         at = self._motion(motion)
         orders = len(motion) - 1
         return self._values(Formulas.constraint_q, orders, rows=len(t), t=t[:, None], **at)[0]
+
+    def constraint_partials(self, t: Array, *motion: Array) -> Array:
+        """Return the design derivatives of `constraint` at k times, shape (k, n_lam, n_b)."""
+        k, n_b = len(t), self.n_b
+        at: dict[str, Any] = {"t": np.repeat(t, n_b)[:, None], "db": np.tile(np.eye(n_b), (k, 1))}
+        at |= {f"d{name}": np.zeros(self.n_q) for name in _RATES[: len(motion)]}
+        at |= self._motion(tuple(np.repeat(x, n_b, axis=0) for x in motion))
+        of, order = Formulas.constraint_total, len(motion) - 1
+        rows = self._values(of, order, rows=k * n_b, **at)[0]
+        return rows.reshape(k, n_b, self.n_lam).mT
 
     def constraint_total(
         self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None

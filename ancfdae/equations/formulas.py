@@ -156,6 +156,15 @@ class Formulas:
         self._M = self._traced_or_called(system, moved, why, "mass_matrix", "q", (n, n))
         self._Q = self._traced_or_called(system, moved, why, "force", "tqv", (n,))
         self._Phi = self._traced_or_called(system, moved, why, "position_constraint", "tq", (m,))
+        #: Sizes, operations, constants and roots of the formulas; None if they call functions.
+        self.content = self._written()
+
+    def _written(self) -> tuple[Any, ...] | None:
+        outputs = np.concatenate([x.ravel() for x in (self._M, self._Q, self._Phi)])
+        if self._operations.calls(outputs):
+            return None
+        lists = (x.tobytes() for x in self._operations.arrays(outputs))
+        return *self._ends, len(self._Phi), self.moving_start, self.root_lines, *lists
 
     def _traced_or_called(
         self, system: Any, moved: Any, why: str, name: str, inputs: str, shape: tuple[int, ...]
@@ -346,8 +355,8 @@ class Formulas:
     def march(self, velocity: bool) -> tuple[OperationList, ...]:
         """Return the operation lists of a `ListPlan` for time stepping in a kernel."""
         _, *tangents, Phi_q = self.linearised(True, velocity)
-        Phi, rate = (self.constraint(order)[0] for order in range(2))
-        values = ([Phi_q], [Phi], [rate], [self._Q], [*self.mass()], tangents)
+        rates = ([self.constraint(order)[0]] for order in range(3))
+        values = ([Phi_q], *rates, [self._Q], [*self.mass()], tangents)
         return tuple(self._list(outputs, "t", "q", "v", "a", "lam", "b") for outputs in values)
 
     def _list(self, outputs: Sequence[Array], *inputs: str) -> OperationList:

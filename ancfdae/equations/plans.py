@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
 
@@ -40,12 +40,37 @@ class Plan(NamedTuple):
 
 
 @final
+class DesignPlan(NamedTuple):
+    """What n_b design variables change in a system with a `Plan`, for `SceneAccelerations`.
+
+    `elements` are partials of the laws of the elements, as `Block.force_totals` takes them. `mass`
+    maps a to (M a)_b, `loads` the factors of the loads to theirs, with n_b n_q rows each. `forces`,
+    (n_b, n_q), are derivatives of gravity and steady loads, `constraints` as
+    `ConstraintPlan.totals` takes them. `moved` names a moving load and a design variable by their
+    numbers, with the load perturbed by an imaginary step.
+    """
+
+    n_b: int
+    elements: tuple[Array, ...]
+    mass: Csr
+    forces: Array
+    loads: Csr
+    constraints: tuple[Array, ...]
+    moved: tuple[tuple[int, int, LoadPlan], ...]
+
+
+#: Factors of joints with two time derivatives, (3, k, n_parts), and of loads, (k, n_loads), at k
+#: times, and their design partials, (n_b, 3, k, n_parts) and (n_b, k, n_loads), None where zero.
+FactorTable: TypeAlias = tuple[Array, Array, Array | None, Array | None]
+
+
+@final
 class ListPlan(NamedTuple):
     """A system of lists of operations, for `Model` and `ComplexModel`.
 
-    Lists take t, q, v, A, lam and b, and return Phi_q, Phi, dPhi/dt, Q, M, and f_q with f_v behind
-    it if forces use velocities. Values of matrices stand on the patterns B of Phi_q and K of all
-    others. t is the time of a run plus `start`.
+    Lists take t, q, v, A, lam and b, and return Phi_q, Phi, dPhi/dt, d^2 Phi/dt^2, Q, M, and f_q
+    with f_v behind it if forces use velocities. Values of matrices stand on the patterns B of Phi_q
+    and K of all others. t is the time of a run plus `start`.
     """
 
     lists: tuple[OperationList, ...]
@@ -70,7 +95,8 @@ class ListPlan(NamedTuple):
 class CalledPlan(NamedTuple):
     """A system whose equations Python evaluates, for `Model` and `ComplexModel`.
 
-    The functions return M(q), Phi_q(t, q), Phi(t, q) or its rate Phi(t, q, v), and Q(t, q, v). Two
+    The functions return M(q), Phi_q(t, q), Phi(t, q) or its rates of the order of the motion behind
+    t, and Q(t, q, v). Two
     more return (f_q, f_v or None) of (t, q, v, a, lam), and (P, P_q) of (t, q), the loads that turn
     with the motion. Values of matrices have the patterns B of Phi_q and K of all others.
     """

@@ -13,7 +13,7 @@ from typing import Any, final
 import numpy as np
 import scipy
 
-from ancfdae.equations.plans import real_part
+from ancfdae.equations.plans import CalledPlan, ListPlan, real_part
 from ancfdae.equations.system import MechanicalSystem, planned
 from ancfdae.errors.kinds import RedundantConstraintsError, SingularMatrix
 from ancfdae.kernels import ComplexModel, March, Model
@@ -112,6 +112,16 @@ class Prepared:
     ) -> None:
         self.plan, self._matrices, self._rules = planned(system), matrices, rules
         self.dtype = dtype
+        # Whether steps are taken one by one, because a Python function may raise in any of them.
+        self.alone = isinstance(self.plan, CalledPlan)
+        # Whether the system is a user's own; it gets times instead of factors of laws.
+        self.own = isinstance(self.plan, CalledPlan | ListPlan)
+        turns = self.own and type(system).turn_rate is not MechanicalSystem.turn_rate
+        driven = self.plan.joint_factors is not None or self.plan.load_factors(np.zeros(1)).size > 0
+        # Whether joints or loads depend on time, or a user's system prescribes a rotation.
+        self.timed = turns if self.own else driven
+        # Time that a kernel adds to the times that it passes to a user's lists, s.
+        self.start = self.plan.start if isinstance(self.plan, ListPlan) else 0.0
         self._prepare(matrices.layout(band=False) or matrices.layout_out_of_band())
 
     def add_band(self) -> None:

@@ -1,10 +1,11 @@
-"""Parts of a solution: cost, error estimates, design derivatives; and its pandas tables."""
+"""Parts of a solution: cost, error estimates, derivatives, contacts; and its pandas tables."""
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -157,3 +158,31 @@ def rows_of_design(sensitivities: Sensitivities) -> list[tuple[str, str, str]]:
     values, sizes = ([f"{x:.6g}" for x in column] for column in (sensitivities.values, largest))
     rows = zip(sensitivities.names, values, sizes, strict=True)
     return [("design variable", "value", "largest |q_b|"), *rows]
+
+
+@final
+class MissedContact(NamedTuple):
+    """The time, s, from which on a run is unreliable because of a missed contact, with advice."""
+
+    time: float
+    advice: str
+
+
+class ContactRecord(abc.ABC):
+    """Base class of objects that follow the states of one run and check its contacts."""
+
+    @abc.abstractmethod
+    def follow(self, t: Array, q: Array, v: Array) -> None:
+        """Examine the next time points, (k,), with rows of q and v, (k, n_q).
+
+        Time points before the last one examined are skipped, so that packets may overlap or be
+        repeated. The last one may have other velocities, after an impact.
+        """
+
+    @abc.abstractmethod
+    def passes(self, t: Array, q: Array, v: Array) -> bool:
+        """Return whether surfaces touch between two time points, (2,), but at neither of them."""
+
+    @abc.abstractmethod
+    def missed(self) -> MissedContact | None:
+        """Return the first contact that the steps do not resolve; None if all are resolved."""

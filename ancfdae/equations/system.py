@@ -41,9 +41,9 @@ from typing import Any, NamedTuple, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations.complex_steps import ComplexSteps
-from ancfdae.equations.contact_record import ContactRecord
 from ancfdae.equations.naming import Naming
-from ancfdae.equations.plans import CalledPlan, ListPlan, Plan
+from ancfdae.equations.plans import CalledPlan, DesignPlan, FactorTable, ListPlan, Plan
+from ancfdae.equations.solution_parts import ContactRecord
 from ancfdae.errors.checks import require_array, require_finite, require_flag
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import listed
@@ -495,6 +495,20 @@ class PlannedSystem(MechanicalSystem):
     def plan(self) -> Plan | None:
         """Arrays of the system for kernels; None if kernels must call its functions instead."""
 
+    @property
+    @abc.abstractmethod
+    def design_plan(self) -> DesignPlan:
+        """What the design variables change in the arrays of `plan`."""
+
+    @property
+    @abc.abstractmethod
+    def timed(self) -> bool:
+        """Whether factors of joints or loads in `plan` change with time."""
+
+    @abc.abstractmethod
+    def factor_table(self, t: Array, derivatives: bool) -> FactorTable:
+        """Return the factors of joints and loads at times t, (k,), with design partials or None."""
+
 
 class ListedSystem(MechanicalSystem):
     """A system that a kernel can integrate by itself, from lists of operations."""
@@ -507,6 +521,10 @@ class ListedSystem(MechanicalSystem):
     @abc.abstractmethod
     def list_plan(self) -> ListPlan:
         """Operation lists with which a kernel evaluates the equations of motion in a time step."""
+
+    @abc.abstractmethod
+    def constraint_partials(self, t: Array, *motion: Array) -> Array:
+        """Return the design derivatives of `constraint` at k times, shape (k, n_lam, n_b)."""
 
 
 def require_no_controllers(where: str, system: MechanicalSystem, repair: str) -> None:

@@ -37,8 +37,8 @@ from ancfdae.equations import (
     StateDirection,
     planned,
 )
-from ancfdae.equations.contact_record import ContactRecord, MissedContact
 from ancfdae.equations.plans import CalledPlan, ListPlan, Plan
+from ancfdae.equations.solution_parts import ContactRecord, MissedContact
 from ancfdae.equations.system import States, called_plan, constraint_q_along, residual_along
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.complex_step import scaled_derivative

@@ -15,7 +15,7 @@ from typing import Any, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.contact_record import ContactRecord, MissedContact
+from ancfdae.equations.solution_parts import ContactRecord, MissedContact
 from ancfdae.errors.kinds import InvalidInputError, ManyStepsWarning
 from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.events.jumps import Jumps

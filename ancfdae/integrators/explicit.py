@@ -208,17 +208,15 @@ class Dop853:
         Return the kernel's code of a failure (zero without one), the number of steps taken, and the
         states at the passed `times`, (k, 2, rows, n).
         """
-        before, at_once = self._control[-2:].copy(), self._accelerations.steps_at_once
-        count = min(len(kept.spans), at_once)
+        count = min(len(kept.spans), self._accelerations.steps_at_once)
         found = self._run.march(tolerances, times, stop, count, kept)
-        self._accelerations.count(*(self._control[-2:] - before).astype(int).tolist())
+        self._accelerations.count()
         return found
 
     def between(self) -> Between | None:
         """Return the dense output of the accepted step; None if its accelerations fail."""
-        before = self.evaluations
         terms = self._run.terms()
-        self._accelerations.count(self.evaluations - before, 0)
+        self._accelerations.count()
         if isinstance(terms, int):
             return None
         return Between(self.t, self.end - self.t, self.states[0].copy(), terms)
@@ -325,7 +323,7 @@ class _ExplicitMarch(March):
         if self._failed:
             return _VERDICTS[self._failed]
         first = self._waiting if self._wanted else 0
-        count = 1 if self._dense else self._max_steps - self.steps
+        count = 1 if self._dense or self.contacts else self._max_steps - self.steps
         count = min(count, self._together - first) if self._wanted else count
         kept = self._kept.part(slice(first, first + count))
         self._failed, taken, self._recorded = self._march(times, kept)

@@ -15,8 +15,8 @@ from typing import ClassVar, Self, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.contact_record import MissedContact
 from ancfdae.equations.solution import Solution
+from ancfdae.equations.solution_parts import MissedContact
 from ancfdae.errors.checks import require_array, require_count
 from ancfdae.errors.kinds import InvalidInputError, SingularMatrix
 from ancfdae.errors.outcomes import RunOutcome, Verdict
@@ -103,7 +103,7 @@ class March(abc.ABC):
             while self._t < times[0]:
                 if self.steps == self._max_steps:
                     return Verdict.STEP_LIMIT
-                # Where there are contacts Python evaluates the equations, and steps come singly.
+                # Where there are contacts steps come singly.
                 before, ends = self._t, self._steps(times)
                 if isinstance(ends, Verdict):
                     return ends

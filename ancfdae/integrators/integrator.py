@@ -14,8 +14,8 @@ from typing import Any, ClassVar, Self, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.contact_record import ContactRecord, MissedContact
 from ancfdae.equations.solution import Solution
+from ancfdae.equations.solution_parts import ContactRecord, MissedContact
 from ancfdae.errors.checks import require_positive
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.outcomes import Verdict

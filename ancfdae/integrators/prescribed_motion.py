@@ -54,6 +54,8 @@ _LIGHTER = (
 # Least and largest number of states whose Phi_q is compared with one reference state in one batch;
 # in between, twice as many as were near the last reference.
 _ROWS, _MOST_ROWS = 4, 128
+# Largest distance of the middle of a step from where its joints close, over the length of the step.
+_OPEN = 1e-3
 # Least number of states of a run that are searched for singular positions, and largest stride.
 _FEW, _MOST_STRIDE = 64, 16
 # Number of entries of matrices n_lam x n_lam whose arithmetic costs as much as the calls for it.
@@ -212,9 +214,22 @@ def _singular_within(system: MechanicalSystem, rows: Rows) -> float | None:
         t, end = step.t.tolist()
         begin = closed(system, t, step.q[0], None)
         reached = t if begin is None else to_singular(system, t, begin, end, _cubic(step))[0]
-        if reached < end:
+        if reached < end and _leads(system, step):
             return reached
     return None
+
+
+def _leads(system: MechanicalSystem, step: Rows) -> bool:
+    """Return whether the cubic through the ends of a step closes the joints in its middle.
+
+    Output times of an integrator may be too far apart to tell the way of the motion between them.
+    """
+    (t, end), w = step.t.tolist(), system.weights
+    middle = _cubic(step)((t + end) / 2)
+    found = closed(system, (t + end) / 2, middle, None)
+    return found is not None and norm(found - middle, w) <= _OPEN * norm(
+        np.diff(step.q, axis=0)[0], w
+    )
 
 
 def nearest_to_singular(system: MechanicalSystem, rows: Rows) -> tuple[float, float]:

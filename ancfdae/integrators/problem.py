@@ -29,12 +29,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Self, TypeAlias, final
 
 import numpy as np
 
-from ancfdae.equations import ListedSystem, MechanicalSystem, reaction
+from ancfdae.equations import ListedSystem, MechanicalSystem, PlannedSystem, reaction
+from ancfdae.equations.plans import Plan
 from ancfdae.equations.saddle_points import acceleration_side, held_totals, saddle_point
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.checks import require_positive
@@ -45,13 +46,17 @@ from ancfdae.integrators.start import (
     consistent_start,
     start_sensitivity,
 )
-from ancfdae.kernels import SINGULAR, ListAccelerations, finite, norm
+from ancfdae.kernels import (
+    RULES,
+    SINGULAR,
+    ListAccelerations,
+    Model,
+    SceneAccelerations,
+    finite,
+    norm,
+)
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-
-# Up to this size a product with the inverse takes a third of the time of a band solve (measured:
-# 106 unknowns, six columns, 6 against 27 us).
-_INVERTED_SIZE = 200
 
 # Solves the index-1 equations for rows of right sides, (..., n_q) and (..., n_lam); one of the two
 # may be None for zeros.
@@ -72,7 +77,7 @@ def stacked(q: Array, v: Array, q_b: Array | None = None, v_b: Array | None = No
 
 
 class Accelerations:
-    """Solves the index-1 equations for (a, lam); reuses the factorised matrix while unchanged.
+    """Solves the index-1 equations for (a, lam) in Python; see `accelerations` for which systems.
 
     With a constant mass matrix and constant Phi_q one factorisation serves the whole run.
     """
@@ -81,8 +86,6 @@ class Accelerations:
         self._system, self._matrices = system, matrices
         self._Phi_q: Array | None = None
         self._factors: Factorization | None = None
-        self._by_inverse: Solve | None = None
-        self._constant = system.traits.constant_mass and system.traits.constant_constraints
         self.factorisations = 0
 
     def factors(self, t: float, q: Array) -> Factorization:
@@ -90,7 +93,7 @@ class Accelerations:
         Phi_q = self._system.constraint_q(t, q)
         if self._factors is None or not self._unchanged(Phi_q):
             self._factors = self._matrices.factor(self._system.mass(q), Phi_q)
-            self._Phi_q, self._by_inverse = Phi_q, None
+            self._Phi_q = Phi_q
             self.factorisations += 1
         return self._factors
 
@@ -100,16 +103,9 @@ class Accelerations:
         return Phi_q is self._Phi_q or np.array_equal(Phi_q, self._Phi_q)
 
     def _solver(self, t: float, q: Array) -> Solve:
-        """Return a function that solves at q: by the inverse matrix where a matrix occurs again."""
-        if self._by_inverse is not None and self._constant:
-            return self._by_inverse
-        before, size, n = self._factors, self._matrices.size, len(q)
-        factors = self.factors(t, q)
-        if factors is before and self._by_inverse is None and size <= _INVERTED_SIZE:
-            self._by_inverse = _by_inverse(factors.solve(np.eye(size)).T, n)
-        return self._by_inverse or (
-            lambda force, side: factors.solve(_joined(force, side, n, size).T).T
-        )
+        """Return a function that solves at q."""
+        factors, size, n = self.factors(t, q), self._matrices.size, len(q)
+        return lambda force, side: factors.solve(_joined(force, side, n, size).T).T
 
     def solve(self, t: float, q: Array, v: Array) -> tuple[Array, Array]:
         """Return accelerations a, (n_q,), and multipliers lam, (n_lam,), of a state."""
@@ -186,8 +182,8 @@ class Accelerations:
         found = told(lambda t, state: self.rows(t, *state))
         return found, told(self.projected)
 
-    def count(self, evaluations: int, projections: int) -> None:
-        """Count a kernel's evaluations; here nothing, as the functions it calls count."""
+    def count(self) -> None:
+        """Count the factorisations of a kernel; here nothing, as the functions it calls count."""
 
     @property
     def weights(self) -> Array:
@@ -201,15 +197,23 @@ class Accelerations:
 
 
 @final
-class ListedAccelerations(Accelerations):
-    """Accelerations and multipliers of a system whose lists of operations a kernel evaluates."""
+class CompiledAccelerations(Accelerations):
+    """Accelerations and multipliers of a scene, or of lists of operations, by a kernel.
+
+    `make` returns the equations of the kernel, with design derivatives or without.
+    """
 
     steps_at_once = 64
 
-    def __init__(self, system: ListedSystem, matrices: SaddlePoint) -> None:
+    def __init__(
+        self,
+        system: MechanicalSystem,
+        matrices: SaddlePoint,
+        make: Callable[[bool], ListAccelerations | SceneAccelerations],
+    ) -> None:
         super().__init__(system, matrices)
-        self._lists, self._others = system.index_1, (system.b, matrices.scale)
-        self._made: dict[bool, ListAccelerations] = {}
+        self._make = make
+        self._made: dict[bool, ListAccelerations | SceneAccelerations] = {}
 
     def rows(self, t: float, q: Array, v: Array) -> Array:
         """Return a row (a, lam), (n_q + n_lam,), above a row of derivatives per variable."""
@@ -218,7 +222,7 @@ class ListedAccelerations(Accelerations):
     def rows_of(self, t: Array, states: Array) -> Array:
         """Return `rows` of k states, (k, 2, rows, n_q), as (k, rows, n_q + n_lam)."""
         found = self.for_kernel(states.shape[2]).at(False, t, states)
-        return self._found(found, t, states, self._matrices.size)
+        return self._found(found, states, self._matrices.size)
 
     def projected(self, t: float, rows: Array) -> Array:
         """Return a state and its derivatives, (2, rows, n_q), moved onto the constraints."""
@@ -227,48 +231,56 @@ class ListedAccelerations(Accelerations):
     def projected_of(self, t: Array, states: Array) -> Array:
         """Return k states, (k, 2, rows, n_q), moved onto the constraints."""
         found = self.for_kernel(states.shape[2]).at(True, t, states)
-        return self._found(found, t, states, states.shape[3])
+        return self._found(found, states, states.shape[3])
 
-    def _found(self, found: Array | int, t: Array, states: Array, size: int) -> Array:
+    def _found(self, found: Array | int, states: Array, size: int) -> Array:
         """Return the kernel's result, or NaN if a value is not finite; raise SingularMatrix."""
-        self.factorisations += len(t)
+        self.count()
         if not isinstance(found, int):
             return found
         if found == SINGULAR:
             raise SingularMatrix
         return np.full((*states.shape[:-1], size), np.nan)
 
-    def for_kernel(self, rows: int) -> ListAccelerations:
-        """Return operation lists for states of `rows` rows, as an `ExplicitRun` takes them."""
+    def for_kernel(self, rows: int) -> ListAccelerations | SceneAccelerations:
+        """Return the equations for states of `rows` rows, as an `ExplicitRun` takes them."""
         if (rows > 1) not in self._made:
-            self._made[rows > 1] = ListAccelerations(self._lists(rows > 1), *self._others)
+            self._made[rows > 1] = self._make(rows > 1)
         return self._made[rows > 1]
 
-    def count(self, evaluations: int, projections: int) -> None:
-        """Count the factorisations of a kernel that evaluated and projected accelerations."""
-        self.factorisations += evaluations + (projections if self._system.n_lam else 0)
+    def count(self) -> None:
+        """Count the factorisations of the kernel since the last call."""
+        self.factorisations += sum(x.factorisations() for x in self._made.values())
 
 
 def accelerations(system: MechanicalSystem, matrices: SaddlePoint) -> Accelerations:
-    """Return the solver for accelerations of a system; in the kernel for listed systems."""
+    """Return the solver for accelerations of a system, in a kernel where it can be.
+
+    Python evaluates the equations of systems that are given by functions, of scenes in a rotating
+    frame, and of systems that start at an event.
+    """
     if isinstance(system, ListedSystem):
-        return ListedAccelerations(system, matrices)
-    return Accelerations(system, matrices)
+        listed, parts = system, (system.b, matrices.scale)
+        return CompiledAccelerations(
+            system, matrices, lambda b: ListAccelerations(listed.index_1(b), *parts)
+        )
+    plan = system.plan if isinstance(system, PlannedSystem) else None
+    if not isinstance(system, PlannedSystem) or plan is None:
+        return Accelerations(system, matrices)
+    return CompiledAccelerations(system, matrices, partial(_of_scene, system, plan, matrices))
 
 
-def _by_inverse(inverse: Array, n: int) -> Solve:
-    """Return a function that solves with `inverse`, the inverse of the transposed matrix."""
-    on_force, on_side = inverse[:n], inverse[n:]
-
-    def solve(force: Array | None, side: Array | None) -> Array:
-        if side is None:
-            assert force is not None
-            x: Array = np.dot(force, on_force)
-            return x
-        x = np.dot(side, on_side)
-        return x if force is None else x + np.dot(force, on_force)
-
-    return solve
+def _of_scene(
+    system: PlannedSystem, plan: Plan, matrices: SaddlePoint, derivatives: bool
+) -> SceneAccelerations:
+    """Return the equations of a scene for a kernel, with design derivatives or without."""
+    of_mass = matrices.of_mass()
+    layout = of_mass.layout(band=True) or of_mass.layout_out_of_band()
+    model = Model(plan, layout, np.zeros(RULES), of_mass.exchanging(layout))
+    design = system.design_plan if derivatives else None
+    if not system.timed:
+        return SceneAccelerations(model, design, system.factor_table(np.zeros(1), derivatives))
+    return SceneAccelerations(model, design, partial(system.factor_table, derivatives=derivatives))
 
 
 def _joined(force: Array | None, side: Array | None, n: int, size: int) -> Array:
@@ -383,11 +395,11 @@ class InitialValueProblem:
     def differentiated(self, for_accelerations: bool = False) -> Self:
         """Return the problem with the design derivatives of its start.
 
-        With `for_accelerations` they are computed by the kernel's lists for accelerations, if there
-        are any, which the run needs anyway.
+        With `for_accelerations` a and lam are differentiated by the kernel for accelerations, if
+        there is one, which the run needs anyway.
         """
         solver = self.accelerations if for_accelerations else None
-        rows = solver.rows if isinstance(solver, ListedAccelerations) else None
+        rows = solver.rows if isinstance(solver, CompiledAccelerations) else None
         derivative = start_sensitivity(self.system, self.matrices, self.initial, rows)
         return replace(self, derivative=derivative)
 

@@ -129,6 +129,11 @@ class SolutionRecorder:
         self.instants += len(t)
         self._control = control
 
+    def beside(self, derivatives: tuple[Array, ...]) -> None:
+        """Write design derivatives of states to the rows that `take` counts next."""
+        for array, rows in zip(self._arrays[5:], derivatives, strict=True):
+            array[self.instants : self.instants + len(rows)] = rows
+
     def last(self, count: int) -> Rows:
         """Return the last `count` time points with coordinates and velocities."""
         t, q, v, *_ = (x[self.instants - count : self.instants] for x in self._arrays)

@@ -7,7 +7,7 @@ const double IMAGINARY_STEP = 0x1p-133;
  * one below n_l is of L, the others are of coefficients in a part. `factors_b` are partials of the
  * factors, (n_b, orders, instants, n_parts), or nullptr. */
 struct ConstraintPartials {
-    Size n_b;
+    Size n_b, orders;
     const int32_t *variable, *number, *first, *part, *entry;
     const double *value, *factors_b;
 };
@@ -49,7 +49,7 @@ void move_joint(const MovedConstraints *m, Size i, Size k, Complex s)
         return;
     for (int order = 0; order <= m->n; order++) {
         const double *own =
-            m->of->factors_b + ((i * (m->n + 1) + order) * m->instants + m->k) * p->n_parts;
+            m->of->factors_b + ((i * m->of->orders + order) * m->instants + m->k) * p->n_parts;
         for (int32_t e = joint[MOVING]; e < joint[JOINT_ITEMS + MOVING]; e++) {
             Complex *c = m->c + order * p->n_c + p->moving_at[e];
             *c = s == 0 ? real_part(*c) : *c + s * own[p->moving_part[e]] * m->moving[e];
@@ -74,7 +74,7 @@ void still_coefficients(const MovedConstraints *m, const ConstraintNumbers<doubl
 }
 
 /* The states of a total derivative: the coordinates X[k], (instants, n_q), and lam, and with X_b
- * their derivatives, (instants, n_b, ...). */
+ * their derivatives, (instants, n_b, ...), nullptr of those that are held. */
 struct TotalStates {
     int what, n;
     Size instants;
@@ -108,7 +108,7 @@ void constraint_totals(const ConstraintTable *p, const ConstraintNumbers<double>
             for (int k = 0; k <= n && (i == 0 || !held); k++) {
                 Z[k] = z + k * p->n_q;
                 moved_row(z + k * p->n_q, x->X[k] + m.k * p->n_q,
-                          held ? nullptr : x->X_b[k] + row * p->n_q, p->n_q);
+                          x->X_b[k] ? x->X_b[k] + row * p->n_q : nullptr, p->n_q);
             }
             if (x->lam && (i == 0 || !held))
                 moved_row(lam, x->lam + m.k * p->n_lam,

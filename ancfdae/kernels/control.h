@@ -1,5 +1,6 @@
-/* Sizes of steps under error control: the digital filter of `integrators/step_control/steps.py`, which
- * states and derives it.
+/* Steps of any method: errors against tolerances (`integrators/step_control/contracts.py`), sizes by the
+ * digital filter of `integrators/step_control/steps.py`, which states and derives it, and the loop over
+ * the steps.
  */
 
 /* Steps that may be taken back, one after another. */
@@ -123,4 +124,171 @@ Size step_judged(StepFilter *f, Size n, double t, double h, bool solved, double 
     f->count = fmin(f->count + 1, STEPS_BACK);
     f->accepted[(int)f->count - 1][0] = h, f->accepted[(int)f->count - 1][1] = error;
     return n + 1;
+}
+
+/* How steps end: after the last one, or before one that needs factors at Gauss points, whose matrix is
+ * indefinite and needs a band, that no time is left for, or that is not solved: since Newton's method
+ * does not converge, a residual is not finite, or a matrix is singular. Under error control also
+ * before one whose error is too large however short it is, where the step before the first one is to
+ * be repeated, or the run is to begin anew, and where a law has raised an error of Python. */
+enum {
+    ALL_TAKEN,
+    NEEDS_GAUSS,
+    INDEFINITE,
+    OUT_OF_TIME,
+    NO_CONVERGENCE,
+    RESIDUAL_NOT_FINITE,
+    MATRIX_SINGULAR,
+    ERROR_TOO_LARGE,
+    STEP_BEFORE,
+    BEGIN_ANEW,
+    LAW_RAISED
+};
+
+double seconds_now()
+{
+    std::chrono::duration<double> now = std::chrono::steady_clock::now().time_since_epoch();
+    return now.count();
+}
+
+/* Tables of factors of one step, rows of joints and of loads, with (turn / 1 rad)^order. */
+template <class T> struct StepTables {
+    const T *of_joints, *of_loads;
+    Size instants;
+    double turn;
+};
+
+/* What laws say of a step from t to `end`. Without laws factors do not change. In a system of one's own
+ * they are the times at fractions of the step, which begin at `start`. */
+template <class T> struct StepLaws {
+    double start;
+    std::vector<double> fractions;
+    std::vector<T> times;
+
+    StepLaws(double at, std::vector<double> of) : start(at), fractions(of), times(of.size()) {}
+    virtual ~StepLaws() = default;
+    /* Whether they are known: else an error of Python is set. */
+    virtual bool at(double t, double end, double h, StepTables<T> *to)
+    {
+        for (size_t i = 0; i < times.size(); i++)
+            times[i] = start + (fractions[i] == 1 ? end : t + fractions[i] * h);
+        *to = {times.data(), times.data(), (Size)times.size(), 0};
+        return true;
+    }
+};
+
+/* The tolerance of an error, relative and the least of each coordinate; vectors have d numbers. */
+struct StepTolerance {
+    Size n, d;
+    double rtol;
+    const double *least;
+};
+
+/* e of a defect against a tolerance, beside which the round-off `blur` is allowed; both are functions of
+ * the coordinate. The size of a vector is the larger one before and after the step, counted from a place
+ * (nullptr for the origin). NaN if a state is not finite. */
+template <class T, class F, class G>
+double error_against(const StepTolerance &tolerance, const T *before, const T *after,
+                     const double *place, F defect, G blur)
+{
+    double sum = 0;
+    for (Size i = 0; i < tolerance.n; i += tolerance.d) {
+        double of_before = 0, of_after = 0;
+        for (Size k = i; k < i + tolerance.d; k++) {
+            double from = place ? place[k] : 0;
+            double x = real_part(before[k]) - from, y = real_part(after[k]) - from;
+            of_before += x * x, of_after += y * y;
+        }
+        double size = tolerance.rtol * sqrt(fmax(of_before, of_after) / (double)tolerance.d);
+        if (!isfinite(of_before + of_after))
+            return NAN;
+        for (Size k = i; k < i + tolerance.d; k++) {
+            double ratio = defect(k) / (size + tolerance.least[k] + blur(k));
+            sum += ratio * ratio;
+        }
+    }
+    return sqrt(sum / (double)tolerance.n);
+}
+
+/* The larger error; NaN, which no step passes, if one is. */
+double larger_error(double x, double y) { return x > y || std::isnan(x) ? x : y; }
+
+/* Steps of a method in one call, under error control by a filter, or of known sizes without it. `n` counts
+ * the steps of the run, `last` is the size of the step before. Accepted steps have rows: end times and,
+ * under control, numbers of the filter. `along` writes a further error of a step, as of its derivatives;
+ * false if it has raised an error of Python. */
+struct StepRun {
+    StepFilter *filter;
+    Size n_stops, n, most;
+    const double *stops, *sizes, *known_ends;
+    double t, last, until, error;
+    double *ends;
+    StepFilter *filters;
+    std::function<bool(double, double, double *)> along;
+    Size taken, rejected;
+
+    virtual ~StepRun() = default;
+    /* Try a step of size h to `end` after those taken, and write the state behind it and, under control,
+     * e: 0, or how steps end. */
+    virtual int tried(double h, double end, double *e) = 0;
+};
+
+/* Try a step: as `tried`, with errors along. */
+int step_tried(StepRun *c, double h, double end)
+{
+    c->error = NAN;
+    int ends = c->tried(h, end, &c->error);
+    if (ends || !c->along)
+        return ends;
+    double other = 0;
+    if (!c->along(h, end, &other))
+        return LAW_RAISED;
+    c->error = larger_error(c->error, other);
+    return 0;
+}
+
+/* Go back to the step before, which is to be repeated. */
+void step_before(StepRun *c, double begin, double first)
+{
+    c->rejected++, c->taken--, c->n--;
+    c->t = c->taken ? c->ends[c->taken - 1] : begin;
+    c->last = c->taken == 0   ? first
+              : c->taken == 1 ? c->t - begin
+                              : c->t - c->ends[c->taken - 2];
+}
+
+/* Take steps until there are `most`, the run ends, or the clock says so. */
+int steps_taken(StepRun *c)
+{
+    double begin = c->t, first = c->last, h, end;
+    while (c->taken < c->most) {
+        if (!c->filter)
+            h = c->sizes[c->taken], end = c->known_ends[c->taken];
+        else if (step_planned(c->filter, c->n_stops, c->stops, c->t, &h, &end) != STEP_PLANNED)
+            return ALL_TAKEN;
+        int ends = step_tried(c, h, end);
+        bool judged = c->filter && (!ends || ends == NO_CONVERGENCE || ends == RESIDUAL_NOT_FINITE);
+        if (ends && !judged)
+            return ends;
+        Size next = judged ? step_judged(c->filter, c->n, c->t, h, !ends, c->error) : c->n + 1;
+        if (next > c->n) {
+            if (judged)
+                c->filters[c->taken] = *c->filter;
+            c->ends[c->taken++] = end;
+            c->n = next, c->t = end, c->last = h;
+        } else {
+            c->rejected++;
+            if (next < 0)
+                return ends ? ends : ERROR_TOO_LARGE;
+            if (next == 0 && !c->filter->bears_jumps)
+                return BEGIN_ANEW;
+            if (next < c->n && c->taken == 0)
+                return STEP_BEFORE;
+            if (next < c->n)
+                step_before(c, begin, first);
+        }
+        if (seconds_now() > c->until)
+            return OUT_OF_TIME;
+    }
+    return ALL_TAKEN;
 }

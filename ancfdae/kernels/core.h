@@ -99,5 +99,6 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #include "rest.h"
 #include "stages.h"
 #include "stage_passes.h"
+#include "scene_accelerations.h"
 
 } // namespace

@@ -5,8 +5,8 @@ template <class T> struct Equations {
     virtual ~Equations() = default;
     virtual void mass(const T *q, T *M) = 0;
     virtual void jacobian(T t, const T *q, T *B) = 0;
-    /* Phi, or with v its rate. */
-    virtual void constraint(T t, const T *q, const T *v, T *Phi) = 0;
+    /* Phi, or its time derivative of an order along v, the second one without accelerations. */
+    virtual void constraint(T t, int order, const T *q, const T *v, T *Phi) = 0;
     virtual void force(T t, const T *q, const T *v, T *Q) = 0;
     /* f_q, and f_v where forces use velocities. */
     virtual void tangents(T t, const T *q, const T *v, const T *A, const T *lam, T *f_q,
@@ -17,8 +17,8 @@ template <class T> struct Equations {
 };
 
 /* Equations that are lists of operations. All of them take t, q, v, A, lam and b: Phi_q, Phi, dPhi/dt,
- * Q, M, and f_q with f_v behind it where forces use velocities. */
-enum { OF_JACOBIAN, OF_PLACE, OF_RATE, OF_FORCE, OF_MASS, OF_TANGENTS, MARCH_LISTS };
+ * d^2 Phi/dt^2, Q, M, and f_q with f_v behind it where forces use velocities. */
+enum { OF_JACOBIAN, OF_PLACE, OF_RATE, OF_RATE_2, OF_FORCE, OF_MASS, OF_TANGENTS, MARCH_LISTS };
 
 template <class T> struct Listed final : Equations<T> {
     const Operations *of[MARCH_LISTS];
@@ -56,9 +56,10 @@ template <class T> struct Listed final : Equations<T> {
     {
         at(OF_JACOBIAN, t, q, nullptr, nullptr, nullptr, B);
     }
-    void constraint(T t, const T *q, const T *v, T *Phi) override
+    void constraint(T t, int order, const T *q, const T *v, T *Phi) override
     {
-        at(v ? OF_RATE : OF_PLACE, t, q, v, nullptr, nullptr, Phi);
+        std::fill(numbers + 1 + 2 * n_q, numbers + 1 + 3 * n_q, T(0));
+        at(OF_PLACE + order, t, q, v, nullptr, nullptr, Phi);
     }
     void force(T t, const T *q, const T *v, T *Q) override
     {

@@ -8,14 +8,6 @@ enum { STEP_STAGES = 12, AFTER = 12, ALL_STAGES = 16, STEP_ROWS = 2 + ALL_STAGES
 /* Terms of the dense output, the last of which take rates of all stages. */
 enum { SIMPLE_TERMS = 3, STAGE_TERMS = 4, TERMS = SIMPLE_TERMS + STAGE_TERMS };
 
-/* Finds (a, lam) above its derivatives, (rows, n + m), and moves a state onto the constraints. */
-struct Accelerations {
-    Size rows, n, m;
-    virtual ~Accelerations() = default;
-    virtual int solved(double t, const double *state, double *out) = 0;
-    virtual int projected(double t, double *state) = 0;
-};
-
 /* Why a step is not taken, beside NOT_FINITE and SINGULAR. */
 enum { ERROR_TEST = 3 };
 
@@ -96,12 +88,18 @@ int explicit_solved(const ExplicitSteps *s, Size k, double t)
     return trouble;
 }
 
-int explicit_stages(const ExplicitSteps *s, double t, double h, Size first, Size last)
+/* Stages from a first one on of a step from t to `end`, of length h. */
+int explicit_stages(const ExplicitSteps *s, double t, double h, double end, Size first, Size last)
 {
     int trouble = SOLVED;
+    double times[ALL_STAGES + 1];
+    for (Size k = first; k < last; k++)
+        times[k] = t + h * s->nodes[k];
+    times[last] = end;
+    s->of->expect(last + 1 - first, times + first);
     for (Size k = first; !trouble && k < last; k++) {
         explicit_state(s, k, h);
-        trouble = explicit_solved(s, k, t + h * s->nodes[k]);
+        trouble = explicit_solved(s, k, times[k]);
     }
     return trouble;
 }
@@ -155,7 +153,7 @@ int explicit_attempt(const ExplicitSteps *s, double end, double *error)
     Size all = 2 * s->of->rows * s->of->n;
     double h = end - c->t, *after = s->states + AFTER * all;
     *error = INFINITY;
-    int trouble = explicit_stages(s, c->t, h, 1, STEP_STAGES);
+    int trouble = explicit_stages(s, c->t, h, end, 1, STEP_STAGES);
     if (trouble)
         return trouble;
     explicit_state(s, AFTER, h);
@@ -231,7 +229,7 @@ int explicit_terms(const ExplicitSteps *s)
     Size count = s->of->rows * s->of->n;
     double h = c->end - c->t;
     if (c->dense != c->end) {
-        int trouble = explicit_stages(s, c->t, h, AFTER + 1, ALL_STAGES);
+        int trouble = explicit_stages(s, c->t, h, c->end, AFTER + 1, ALL_STAGES);
         if (trouble)
             return trouble;
         c->dense = c->end;
@@ -262,8 +260,10 @@ int explicit_recorded(const ExplicitSteps *s, RecordedStates *to)
 {
     StepControl *c = s->control;
     bool has_terms = false;
-    Size all = 2 * s->of->rows * s->of->n;
-    for (; to->done < to->count && to->t[to->done] <= c->end; to->done++) {
+    Size all = 2 * s->of->rows * s->of->n, behind = to->done;
+    while (behind < to->count && to->t[behind] <= c->end)
+        behind++;
+    for (; to->done < behind; to->done++) {
         double t = to->t[to->done], x = (t - c->t) / (c->end - c->t), weight = 1;
         double *state = to->states + to->done * all;
         if (t == c->end) {
@@ -273,6 +273,8 @@ int explicit_recorded(const ExplicitSteps *s, RecordedStates *to)
         int trouble = has_terms ? (int)SOLVED : explicit_terms(s);
         if (trouble)
             return trouble;
+        if (!has_terms)
+            s->of->expect(behind - to->done, to->t + to->done);
         has_terms = true;
         memcpy(state, s->states, (size_t)all * sizeof *state);
         for (Size k = 0; k < TERMS; k++) {

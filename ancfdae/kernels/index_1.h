@@ -1,7 +1,10 @@
-/* Accelerations and multipliers from lists of operations, and states moved onto the constraints
+/* Accelerations and multipliers of the index-1 equations, and states moved onto the constraints
  * (`integrators/problem.py`), in real numbers.
  *
  * A state is q above its n_b design derivatives, then v likewise: (2, 1 + n_b, n), or (2, 1, n).
+ * `Index1` has the algorithm once, for formulas that are lists of operations (`Index1System`) or those
+ * of a scene (`scene_accelerations.h`).
+ *
  * Lists take all of their inputs in this order, changes of q, v and b last:
  *   MATRIX        t, q, v, b                      M, Phi_q, Q, gamma
  *   PLACE, SPEED  t, q, v, b                      Phi; dPhi/dt
@@ -14,11 +17,89 @@ enum { MATRIX, PLACE, SPEED, SIDES, PLACES, SPEEDS, INDEX_1_LISTS };
 /* Why there is no result. */
 enum { SOLVED, NOT_FINITE, SINGULAR };
 
+int all_finite(const double *x, Size count)
+{
+    double sum = 0;
+    for (Size i = 0; i < count; i++)
+        sum += 0 * x[i];
+    return sum == 0;
+}
+
+/* Finds (a, lam) above its derivatives, (rows, n + m), and moves a state onto the constraints. */
+struct Accelerations {
+    Size rows, n, m;
+    virtual ~Accelerations() = default;
+    /* Times of the next states, ascending: laws are evaluated at all of them at once. */
+    virtual void expect(Size, const double *) {}
+    virtual int solved(double t, const double *state, double *out) = 0;
+    virtual int projected(double t, double *state) = 0;
+};
+
+/* The same by formulas; counts the matrices that are factorised. */
+struct Index1 : Accelerations {
+    Size factorisations = 0;
+    double *right; /* Room for `index_1_room` numbers. */
+
+    Size index_1_room() const { return rows * (n + m); }
+    /* Factorises the matrix at a state: SOLVED, NOT_FINITE or SINGULAR. */
+    virtual int factored(double t, const double *state) = 0;
+    /* Solves in place for right sides, (count, n + m). */
+    virtual int solve(Size count, double *x) = 0;
+    /* Q and gamma at the state where the matrix was factorised. */
+    virtual void sides(double t, const double *state, double *x) = 0;
+    /* Right sides of the derivatives of x = (a, lam), (rows - 1, n + m). */
+    virtual void changes(double t, const double *state, const double *x, double *out) = 0;
+    /* Phi or dPhi/dt of a state, or their derivatives, row i from `out` + i (n + m) on. */
+    virtual void defects(bool speed, bool derivatives, double t, const double *state,
+                         double *out) = 0;
+
+    /* (a, lam) of a state, and its derivatives: (rows, n + m). */
+    int solved(double t, const double *state, double *out) override
+    {
+        Size size = n + m;
+        if (!all_finite(state, 2 * rows * n))
+            return NOT_FINITE;
+        int trouble = factored(t, state);
+        if (trouble)
+            return trouble;
+        sides(t, state, out);
+        trouble = solve(1, out);
+        if (!trouble && rows > 1) {
+            changes(t, state, out, out + size);
+            trouble = solve(rows - 1, out + size);
+        }
+        return trouble ? trouble : all_finite(out, rows * size) ? (int)SOLVED : (int)NOT_FINITE;
+    }
+
+    /* Moves a state onto the constraints, in place: by the smallest changes of q, then of v, then of
+     * the derivatives of each. */
+    int projected(double t, double *state) override
+    {
+        Size size = n + m;
+        if (!all_finite(state, 2 * rows * n))
+            return NOT_FINITE;
+        if (m == 0)
+            return SOLVED;
+        int trouble = factored(t, state);
+        for (int step = 0; !trouble && step < (rows > 1 ? 4 : 2); step++) {
+            Size speed = step % 2, derivatives = step / 2, count = derivatives ? rows - 1 : 1;
+            double *part = state + (speed * rows + derivatives) * n;
+            memset(right, 0, (size_t)(count * size) * sizeof *right);
+            defects(speed, derivatives, t, state, right + n);
+            trouble = solve(count, right);
+            for (Size i = 0; i < count; i++)
+                for (Size j = 0; j < n; j++)
+                    part[i * n + j] -= right[i * size + j];
+        }
+        return trouble;
+    }
+};
+
 struct Index1System {
     const Operations *lists[INDEX_1_LISTS];
     const double *constants[INDEX_1_LISTS], *b, *scale;
     Size n, m, n_b, rows;
-    double *numbers, *K, *x;
+    double *numbers, *K;
     int *exchanged;
 };
 
@@ -37,19 +118,19 @@ bool index_1_fits(const Index1System *s)
     return good;
 }
 
-Size index_1_room(const Index1System *s)
+Size index_1_lists_room(const Index1System *s)
 {
     Size most = 0, size = s->n + s->m;
     for (int i = 0; i < INDEX_1_LISTS; i++)
         if (s->lists[i] && s->lists[i]->n_numbers > most)
             most = s->lists[i]->n_numbers;
-    return most * LIST_LANES + size * (size + 1 + 2 * LIST_LANES);
+    return most * LIST_LANES + size * size;
 }
 
-/* Outputs of a list at t and a state, and what x = (a, lam) is, in columns `lanes` apart; changes
+/* Outputs of a list at t and a state, and of SIDES at x = (a, lam), in columns `lanes` apart; changes
  * are derivatives from `first` on. */
 const double *index_1_evaluated(const Index1System *s, int which, double t, const double *state,
-                                Size first, Size lanes)
+                                const double *x, Size first, Size lanes)
 {
     const Operations *p = s->lists[which];
     Size n = s->n, n_b = s->n_b, at = 0;
@@ -63,7 +144,7 @@ const double *index_1_evaluated(const Index1System *s, int which, double t, cons
     SHARED(n, q[j])
     SHARED(n, v[j])
     if (which == SIDES) {
-        SHARED(n + s->m, s->x[j])
+        SHARED(n + s->m, x[j])
     }
     SHARED(n_b, s->b[j])
     if (which >= SIDES) {
@@ -79,12 +160,12 @@ const double *index_1_evaluated(const Index1System *s, int which, double t, cons
     return s->numbers;
 }
 
-/* Forms the scaled matrix at a state and exchanges its rows; Q and gamma go to x. */
+/* Forms the scaled matrix at a state and exchanges its rows. */
 int index_1_factored(const Index1System *s, double t, const double *state)
 {
     Size n = s->n, size = n + s->m;
     const int32_t *out = s->lists[MATRIX]->outputs;
-    const double *numbers = index_1_evaluated(s, MATRIX, t, state, 0, 1), *d = s->scale;
+    const double *numbers = index_1_evaluated(s, MATRIX, t, state, nullptr, 0, 1), *d = s->scale;
     double *K = s->K, largest = 0;
     for (Size i = 0; i < n; i++)
         for (Size j = 0; j < n; j++)
@@ -94,8 +175,6 @@ int index_1_factored(const Index1System *s, double t, const double *state)
             K[j * size + i] = K[i * size + j] = numbers[*out++] * d[i] * d[j];
         memset(K + i * size + n, 0, (size_t)s->m * sizeof *K);
     }
-    for (Size i = 0; i < size; i++)
-        s->x[i] = numbers[*out++];
     for (Size i = 0; i < size * size; i++) {
         if (!isfinite(K[i]))
             return NOT_FINITE;
@@ -148,76 +227,50 @@ void index_1_solved(const Index1System *s, double *x)
         x[i] *= s->scale[i];
 }
 
-int all_finite(const double *x, Size count)
+/* Outputs of a list to rows `size` apart, of derivatives from `first` on. */
+void index_1_outputs(const Index1System *s, int which, double t, const double *state,
+                     const double *x, bool derivatives, double *out)
 {
-    double sum = 0;
-    for (Size i = 0; i < count; i++)
-        sum += 0 * x[i];
-    return sum == 0;
-}
-
-/* (a, lam) of a state, and its derivatives: (rows, n + m). */
-int index_1_rows(const Index1System *s, double t, const double *state, double *out)
-{
-    Size size = s->n + s->m;
-    if (!all_finite(state, 2 * s->rows * s->n))
-        return NOT_FINITE;
-    int trouble = index_1_factored(s, t, state);
-    if (trouble)
-        return trouble;
-    index_1_solved(s, s->x);
-    memcpy(out, s->x, (size_t)size * sizeof *out);
-    for (Size done = 0; done < s->rows - 1; done += LIST_LANES) {
-        Size lanes = s->rows - 1 - done < LIST_LANES ? s->rows - 1 - done : LIST_LANES;
-        const double *numbers = index_1_evaluated(s, SIDES, t, state, done, lanes);
-        for (Size i = 0; i < lanes; i++) {
-            double *to = out + (1 + done + i) * size;
-            for (Size j = 0; j < size; j++)
-                to[j] = numbers[s->lists[SIDES]->outputs[j] * lanes + i];
-            index_1_solved(s, to);
-        }
-    }
-    return all_finite(out, s->rows * size) ? SOLVED : NOT_FINITE;
-}
-
-/* Takes from q or v, at `part` of the state, the smallest changes to which the constraints say. */
-void index_1_moved(const Index1System *s, int which, const double *state, double t, Size first,
-                   Size lanes, double *part)
-{
-    Size n = s->n, m = s->m;
-    const double *numbers = index_1_evaluated(s, which, t, state, first, lanes);
-    double *side = s->K + (n + m) * (n + m), *all = side + (n + m);
-    for (Size i = 0; i < lanes; i++)
-        for (Size j = 0; j < m; j++)
-            all[i * m + j] = numbers[s->lists[which]->outputs[j] * lanes + i];
-    for (Size i = 0; i < lanes; i++) {
-        memset(side, 0, (size_t)n * sizeof *side);
-        memcpy(side + n, all + i * m, (size_t)m * sizeof *side);
-        index_1_solved(s, side);
-        for (Size j = 0; j < n; j++)
-            part[i * n + j] -= side[j];
+    Size size = s->n + s->m, count = derivatives ? s->rows - 1 : 1;
+    const Operations *list = s->lists[which];
+    for (Size done = 0; done < count; done += LIST_LANES) {
+        Size lanes = count - done < LIST_LANES ? count - done : LIST_LANES;
+        const double *numbers = index_1_evaluated(s, which, t, state, x, done, lanes);
+        for (Size i = 0; i < lanes; i++)
+            for (Size j = 0; j < list->n_outputs; j++)
+                out[(done + i) * size + j] = numbers[list->outputs[j] * lanes + i];
     }
 }
 
-/* Moves a state onto the constraints, in place. */
-int index_1_projected(const Index1System *s, double t, double *state)
-{
-    Size n = s->n;
-    double *q = state, *v = state + s->rows * n;
-    if (!all_finite(state, 2 * s->rows * n))
-        return NOT_FINITE;
-    if (s->m == 0)
+/* Accelerations by lists of operations. */
+struct ListFormulas : Index1 {
+    Index1System system = {};
+
+    int factored(double t, const double *state) override
+    {
+        factorisations++;
+        return index_1_factored(&system, t, state);
+    }
+    int solve(Size count, double *x) override
+    {
+        for (Size i = 0; i < count; i++)
+            index_1_solved(&system, x + i * (n + m));
         return SOLVED;
-    int trouble = index_1_factored(s, t, state);
-    if (trouble)
-        return trouble;
-    index_1_moved(s, PLACE, state, t, 0, 1, q);
-    index_1_moved(s, SPEED, state, t, 0, 1, v);
-    for (int speed = 0; speed < 2; speed++)
-        for (Size done = 0; done < s->rows - 1; done += LIST_LANES) {
-            Size lanes = s->rows - 1 - done < LIST_LANES ? s->rows - 1 - done : LIST_LANES;
-            index_1_moved(s, speed ? SPEEDS : PLACES, state, t, done, lanes,
-                          (speed ? v : q) + (1 + done) * n);
-        }
-    return SOLVED;
-}
+    }
+    void sides(double, const double *, double *x) override
+    {
+        const Operations *list = system.lists[MATRIX];
+        for (Size i = 0; i < n + m; i++)
+            x[i] = system.numbers[list->outputs[list->n_outputs - (n + m) + i]];
+    }
+    void changes(double t, const double *state, const double *x, double *out) override
+    {
+        index_1_outputs(&system, SIDES, t, state, x, true, out);
+    }
+    void defects(bool speed, bool derivatives, double t, const double *state,
+                 double *out) override
+    {
+        int which = derivatives ? speed ? +SPEEDS : +PLACES : speed ? +SPEED : +PLACE;
+        index_1_outputs(&system, which, t, state, nullptr, derivatives, out);
+    }
+};

@@ -38,6 +38,7 @@ namespace
 #include "plan_calls.h"
 #include "matrix_calls.h"
 #include "model_calls.h"
+#include "acceleration_calls.h"
 
 /* Functions and methods of numbers of one kind, of real or complex ones, and of matrices and right
  * sides of real or complex ones. */
@@ -128,6 +129,12 @@ void elements_added(PyObject *module)
         });
 }
 
+const char *const ACCELERATIONS =
+    "Return (a, lam) above its design derivatives, (k, rows, n + m), or what prevents it.\n\n"
+    "With `projected` return the states moved onto the constraints. States are (k, 2, rows,\n"
+    "n). A number is 1 where a value is not finite, and 2 where the matrix is singular.";
+const char *const FACTORISATIONS = "Return how many matrices were factorised since the last call.";
+
 void lists_added(PyObject *module)
 {
     type_added<OperationList>(
@@ -172,17 +179,22 @@ void lists_added(PyObject *module)
         "Accelerations of a system of lists (`index_1.h`); with six lists of design\n"
         "derivatives, too.\n\n"
         "The scale, (n + m,), makes the matrix free of units.",
-        {METHOD(py_accelerations, "at", "projected, t, states",
-            "Return (a, lam) above its design derivatives, (k, rows, n + m), or what prevents\n"
-            "it.\n\n"
-            "With `projected` return the states moved onto the constraints. States are (k, 2,\n"
-            "rows, n). A number is 1 where a value is not finite, and 2 where the matrix is\n"
-            "singular.")});
+        {METHOD(py_accelerations<ListAccelerations>, "at", "projected, t, states", ACCELERATIONS),
+         METHOD(py_factorisations<ListAccelerations>, "factorisations", "", FACTORISATIONS)});
+    type_added<SceneAccelerations>(
+        module, "model, design, factors",
+        "Accelerations of a scene (`scene_accelerations.h`), with a design its derivatives, too.\n\n"
+        "The design is a `DesignPlan` or None. Factors is a function of times, (k,), or its\n"
+        "result for all times: those of joints with two derivatives, (3, k, n_parts), and of\n"
+        "loads, (k, n_loads), and their partials, (n_b, 3, k, n_parts) and (n_b, k, n_loads), or\n"
+        "None.",
+        {METHOD(py_accelerations<SceneAccelerations>, "at", "projected, t, states", ACCELERATIONS),
+         METHOD(py_factorisations<SceneAccelerations>, "factorisations", "", FACTORISATIONS)});
     type_added<ExplicitRun>(
         module, "equations, tables, step",
         "Steps of DOP853 from a state (`explicit.h`).\n\n"
-        "Equations are `ListAccelerations`, or two functions of a time and a state, (2, rows,\n"
-        "n): one returns (a, lam), (rows, n + m), the other the state on the constraints, or\n"
+        "Equations are `ListAccelerations`, `SceneAccelerations`, or two functions of a time and\n"
+        "a state, (2, rows, n): one returns (a, lam), (rows, n + m), the other the state on the constraints, or\n"
         "each a number that says why not. Tables are the factors of stages, (16, 2, 18), those\n"
         "of errors, (2, 2, 12), nodes, (16,), and factors of the dense output, (4, 16). The\n"
         "arrays of a step are written to: rows, (18, rows n), states, (16, 2, rows, n), (a,\n"
@@ -293,7 +305,7 @@ template <class T, class M> std::vector<PyMethodDef> drivers()
     constexpr auto march = &py_march<T, M>;
     constexpr auto controlled = &py_march_controlled<T, M>;
     constexpr auto rest = &py_rest<T, M>;
-    constexpr auto stages = &py_solve_stages<T, M>;
+    constexpr auto stages = &py_march_stages<T, M>;
     return {
         declared<OfSelf<Bound<march>>>("march",
             "state, motion, h, of_joints, of_loads, seconds, rows, guess, limits",
@@ -308,15 +320,16 @@ template <class T, class M> std::vector<PyMethodDef> drivers()
             "last step the size of its last correction and the slowest rate of its corrections. The\n"
             "states after the steps, q, v, A and lam, are written to rows."),
         declared<OfSelf<Bound<controlled>>>("march_controlled",
-            "state, at, numbers, stops, tolerance, laws, rows, beside, limits",
+            "state, at, motion, control, tolerance, laws, along, rows, of_steps, beside, limits",
             "Take steps under error control from (q, v, a, lam, A), until the rows are full.\n\n"
-            "`at` holds the motion, as of `march`, the instant n, its time, and the size of the step\n"
-            "that led there. The tolerance is (rtol, least sizes, place, numbers of a vector), and\n"
-            "limits are those of Newton's method and seconds. Of (t, end, h) laws return the factors\n"
-            "of joints and of loads in that step as rows of the tables of `march`, with the error of\n"
-            "its turn; without laws a number is added to the times in a system of one's own. Rows are\n"
-            "those of `march`, and a, ends, motions and filters stand beside them. Filter and rows\n"
-            "are written.\n\n"
+            "`at` holds the instant n, its time, and the size of the step that led there; the motion\n"
+            "is as of `march`. Control is the numbers of a filter and stops. The tolerance is (rtol,\n"
+            "least sizes, place, numbers of a vector), and limits are those of Newton's method and\n"
+            "seconds. Of (t, end, h) laws return the factors of joints and of loads in that step as\n"
+            "rows of the tables of `march`, with the error of its turn; without laws a number is\n"
+            "added to the times in a system of one's own. `along` returns e of what goes along with a\n"
+            "step, of its size and end. Rows are those of `march`, (ends, filters) belong to steps,\n"
+            "and (a, motions) stand beside them. Filter and rows are written.\n\n"
             "Returns the number of steps, why it ends, how many were rejected, counts as `march`, and\n"
             "the size of the last correction."),
         declared<OfSelf<Bound<rest>>>("rest", "state, known, factors, rules",
@@ -326,13 +339,18 @@ template <class T, class M> std::vector<PyMethodDef> drivers()
             "Phi_0), factors those of constraints, of loads as they act, and of those that turn; of\n"
             "a system of one's own the time, the time, and whether loads turn. Returns why it ends,\n"
             "iterations, the size of the last correction, and whether K is surely positive definite."),
-        declared<OfSelf<Bound<stages>>>("solve_stages",
-            "coupled, state, x, lam, of_joints, of_loads, settings",
-            "Solve for the stages of a step of Radau IIA, from (q, v, a, lam) before it.\n\n"
-            "Factors are those at the stages and at the start, (4, n_parts) and\n"
-            "(4, n_loads). Settings are c, A^-1 and A^-2, and `StageRules` of `stages.h`. Returns how\n"
-            "it ends, the size of the last correction, and counts of iterations, factorisations and\n"
-            "whether round-off ended it."),
+        declared<OfSelf<Bound<stages>>>("march_stages",
+            "coupled, before, at, control, tolerance, laws, along, rows, of_steps, settings, seconds",
+            "Take steps of Radau IIA, under error control or of known sizes, until the rows are full.\n\n"
+            "Before are rows (q, v, a, lam) of the start and the stages of the last step, or of one\n"
+            "state; `at` and laws are as of `march_controlled`, with factors at the stages and the\n"
+            "start, those of joints with two time derivatives, (12, n_parts) and (4, n_loads). Control\n"
+            "is (numbers of a filter, stops, sizes, ends): either a filter or sizes are empty. The\n"
+            "tolerance is None or (rtol, least sizes) of positions, the same of velocities, place,\n"
+            "scale, and numbers of a vector. Rows (t, q, v, a, lam) belong to stages, (ends, filters)\n"
+            "to steps. Settings are the tableau and `StageRules` of `stages.h`.\n\n"
+            "Returns the number of steps, why it ends, how many were rejected, how many were solved by\n"
+            "way of shorter ones, counts as `march`, size of the last correction, and the last e."),
     };
 }
 
@@ -362,6 +380,10 @@ void models_added(PyObject *module)
             "lam; of the covectors the first, (6, n_q), is overwritten; written are rows of mu\n"
             "and zeta, and of covectors on the defects of q, v and A, (k, 3, n_q), if asked\n"
             "for."),
+        METHOD(py_embedded_errors, "embedded_errors", "h, state, factors, rows, errors, tableau",
+            "Write errors dq and dv, (2, n_b, n_q), of derivatives in a step of Radau IIA.\n\n"
+            "State (q, v, a, lam) and factors are those of its middle stage. Rows are v_b at start and\n"
+            "stages, (4, n_b, n_q), a_b at the start, and x_b of the stages. Returns why it ends."),
         METHOD(py_find_stages, "find_stages", "factors, states, found, first",
             "Find a and lam, and v - V and sigma, of stages from a first one on.\n\n"
             "Returns the number of the next stage, and why it ends as `march`. Factors of\n"
@@ -446,9 +468,6 @@ void numbers_added(PyObject *module)
     constants_added(module, {{"NOT_FINITE", NOT_FINITE},
                              {"SINGULAR", SINGULAR},
                              {"ERROR_TEST", ERROR_TEST},
-                             {"STAGES_SOLVED", STAGES_SOLVED},
-                             {"STAGES_NOT_FINITE", STAGES_NOT_FINITE},
-                             {"STAGES_SINGULAR", STAGES_SINGULAR},
                              {"PLANNED", STEP_PLANNED},
                              {"FINISHED", RUN_FINISHED},
                              {"NEVER_SOLVED", NEVER_SOLVED},

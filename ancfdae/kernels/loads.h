@@ -130,6 +130,23 @@ void load_force(const LoadTable *p, const LoadNumbers<T> *of, const S *factors, 
             load_lifted<T>(p, copy, of->l, factors[0], work, Q);
 }
 
+/* size += |s L^T F| for each copy and vector by itself. */
+template <class T>
+void load_sizes(const LoadTable *p, const LoadNumbers<T> *of, const T *factors, const T *q,
+                const T *v, T *work, double *size)
+{
+    for (Size copy = 0; copy < p->n_copies; copy++) {
+        const int32_t *first = p->first + copy * p->n_U;
+        if (!load_numbers_at<T>(p, copy, of, factors + 1, q, v, work))
+            continue;
+        for (Size r = 0; r < p->n_U; r++) {
+            double F = fabs(real_part(factors[0] * work[p->output[r]]));
+            for (int32_t e = first[r]; e < first[r + 1]; e++)
+                size[p->columns[e]] += fabs(real_part(of->l[e])) * F;
+        }
+    }
+}
+
 /* Q += s L^T times the derivative of F along dq, dv and, behind the first of `rates`, signals. */
 template <class T>
 void load_force_along(const LoadTable *p, const LoadNumbers<T> *of, const T *factors,

@@ -24,12 +24,6 @@ StepCoefficients coefficients_of_step(double h, double alpha)
     return c;
 }
 
-double seconds_now()
-{
-    std::chrono::duration<double> now = std::chrono::steady_clock::now().time_since_epoch();
-    return now.count();
-}
-
 /* A matrix in compressed sparse rows. */
 template <class T> struct Csr {
     Size n;
@@ -46,25 +40,6 @@ template <class T> INLINE void csr_times(const Csr<T> *m, const T *x, T *out)
 /* Rows of a table of factors, one table for each step: at its end, at its beginning, at the Gauss
  * points of small steps, and the time derivatives there. */
 enum { AT_END, AT_START, AT_GAUSS, RATE_AT_GAUSS = AT_GAUSS + 3, ALL_INSTANTS = RATE_AT_GAUSS + 3 };
-/* How a march ends: with all steps, or before one that needs factors at Gauss points, whose matrix
- * is indefinite and needs a band, that no time is left for, or that is not solved: since Newton's
- * method does not converge, a residual is not finite, or a matrix is singular. Under error control
- * also before one whose error is too large however short it is, where the step before the first one
- * is to be repeated, or the run is to begin anew, and where a law has raised an error of Python. */
-enum {
-    ALL_TAKEN,
-    NEEDS_GAUSS,
-    INDEFINITE,
-    OUT_OF_TIME,
-    NO_CONVERGENCE,
-    RESIDUAL_NOT_FINITE,
-    MATRIX_SINGULAR,
-    ERROR_TOO_LARGE,
-    STEP_BEFORE,
-    BEGIN_ANEW,
-    LAW_RAISED
-};
-
 /* Corrections from a guess close to the solution shrink by this factor at least. */
 #define CLOSE 0.5
 /* Iterations after the real part has settled: the imaginary part lags it by one, and one is for its
@@ -125,7 +100,7 @@ enum { BY_ENVELOPE, BY_BAND, BY_FRONTS, BY_SOLVER };
 template <class T> struct Room {
     T *q_p, *dq_p, *v_p, *q, *v, *A, *a, *lam, *U, *B, *Q, *inner, *reaction, *ahead, *start;
     T *Phi, *rate, *defect, *R, *x, *force, *f_q, *f_v, *sum, *matrix, *work;
-    T *at_end, *within, *of_load, *mass, *turned;
+    T *at_end, *within, *of_load, *mass, *turned, *still; /* `still` holds zeros */
     const T *c[1];
     double *least, *time_factors, *columns, of_B;
     FrontRoom in_fronts;
@@ -181,15 +156,16 @@ template <class T> void jacobian_at(const Plan<T> *p, Room<T> *r, const T *const
     r->B_known = p->still && p->constraints->n_s + p->constraints->n_formulas == 0;
 }
 
-/* Phi, or its first time derivative along v. */
+/* Phi, or its time derivative of an order along v, the second one without accelerations. */
 template <class T>
-void constraint_at(const Plan<T> *p, Room<T> *r, const T *const *c, const T *q, const T *v, T *Phi)
+void constraint_at(const Plan<T> *p, Room<T> *r, int order, const T *const *c, const T *q,
+                   const T *v, T *Phi)
 {
-    const T *X[] = {q, v};
+    const T *X[] = {q, v, r->still};
     if (p->own)
-        return p->own->constraint(*c[0], q, v, Phi);
+        return p->own->constraint(*c[0], order, q, v, Phi);
     memset(Phi, 0, (size_t)p->n_lam * sizeof(T));
-    constraints<T>(p->constraints, p->numbers.l, RATE, v ? 1 : 0, c, X, nullptr, r->U, Phi);
+    constraints<T>(p->constraints, p->numbers.l, RATE, order, c, X, nullptr, r->U, Phi);
 }
 
 /* Coefficients from a row of factors, and their rates from the third row on where asked for. */
@@ -213,6 +189,21 @@ template <class T> void reaction_of(const Plan<T> *p, const Room<T> *r, const T 
     csr_rows_transposed<T>(p->n_lam, p->B.first, p->B.columns, r->B, 1, lam, 1, p->n_q, out);
 }
 
+/* Q from elastic forces -`inner`, gravity and loads. */
+template <class T>
+void applied_at(const Plan<T> *p, Room<T> *r, const T *factors, const T *q, const T *v,
+                const T *inner)
+{
+    for (Size i = 0; i < p->n_q; i++)
+        r->Q[i] = p->gravity[i] - inner[i];
+    for (Size k = 0; k < p->n_loads; k++)
+        for (Size i = 0; i < p->n_q; i++)
+            r->Q[i] += factors[k] * p->loads[k * p->n_q + i];
+    for (Size k = 0; k < p->n_moving; k++)
+        load_force<T>(p->moving[k].plan, &p->moving[k].numbers, factors + p->moving[k].factor, q,
+                      v, r->of_load, r->Q);
+}
+
 template <class T>
 void force_at(const Plan<T> *p, Room<T> *r, const T *factors, const T *q, const T *v)
 {
@@ -220,14 +211,7 @@ void force_at(const Plan<T> *p, Room<T> *r, const T *factors, const T *q, const 
         return p->own->force(factors[0], q, v, r->Q);
     memset(r->inner, 0, (size_t)p->n_q * sizeof(T));
     forces<T>(p->n_y, p->d, &p->block, q, p->damped ? v : nullptr, r->inner);
-    for (Size i = 0; i < p->n_q; i++)
-        r->Q[i] = p->gravity[i] - r->inner[i];
-    for (Size k = 0; k < p->n_loads; k++)
-        for (Size i = 0; i < p->n_q; i++)
-            r->Q[i] += factors[k] * p->loads[k * p->n_q + i];
-    for (Size k = 0; k < p->n_moving; k++)
-        load_force<T>(p->moving[k].plan, &p->moving[k].numbers, factors + p->moving[k].factor, q,
-                      v, r->of_load, r->Q);
+    applied_at<T>(p, r, factors, q, v, r->inner);
 }
 
 /* Phi = defect + its integral over a small step along dq. */
@@ -243,7 +227,7 @@ void constraint_over(const Plan<T> *p, Room<T> *r, double h, const T *factors, c
             r->force[i] = dq[i] / h;
         }
         at_instant<T>(p, r, factors, AT_GAUSS + k, 1, c);
-        constraint_at<T>(p, r, c, r->x, r->force, r->rate);
+        constraint_at<T>(p, r, 1, c, r->x, r->force, r->rate);
         for (Size i = 0; i < p->n_lam; i++)
             Phi[i] += p->rules.weights[k] * h * r->rate[i];
     }
@@ -320,7 +304,7 @@ int residual_at(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const B
         constraint_over<T>(p, r, c->h, of_joints, b->q, r->ahead, r->Phi);
     }
     if (!small)
-        constraint_at<T>(p, r, r->c, r->q, nullptr, r->Phi);
+        constraint_at<T>(p, r, 0, r->c, r->q, nullptr, r->Phi);
     jacobian_at<T>(p, r, r->c, r->q);
     reaction_of<T>(p, r, r->lam, r->reaction);
     force_at<T>(p, r, of_loads + AT_END * p->n_factors, r->q, r->v);
@@ -573,6 +557,48 @@ template <class T> double unbalanced(const Plan<T> *p, const Room<T> *r)
     return size_of<T>(p->n_q, r->R, p->inverse);
 }
 
+/* Errors in the last place of coordinates that a force adds up. */
+constexpr double ROUNDINGS = 8;
+/* Iterations of a step after which the forces at rest are looked at. */
+constexpr Size USUAL = 3;
+
+/* What may remain of R where forces balance each other, as on a body at rest on a spring: the
+ * tolerance times the forces that act, each counted by itself, and the round-off that f_q makes of
+ * errors in the last place of coordinates. Elastic forces have a round-off of their own (`blur`).
+ * Corrections may shrink steadily there without an end: those of q are lost in its last place. */
+template <class T>
+double at_rest(const Plan<T> *of, Room<T> *from, const T *of_loads, double tolerance)
+{
+    auto [p, r, factors] = real_state(of, from, of_loads);
+    std::vector<double> left((size_t)p->n_q), values((size_t)p->nnz);
+    if (p->own)
+        p->own->force(factors[0], r->q, r->v, left.data());
+    else
+        left.assign(p->gravity, p->gravity + p->n_q);
+    for (double &each : left)
+        each = fabs(each);
+    for (Size k = 0; k < p->n_loads; k++)
+        for (Size i = 0; i < p->n_q; i++)
+            left[i] += fabs(factors[k] * p->loads[k * p->n_q + i]);
+    for (Size k = 0; k < p->n_moving; k++)
+        load_sizes<double>(p->moving[k].plan, &p->moving[k].numbers, factors + p->moving[k].factor,
+                           r->q, r->v, r->of_load, left.data());
+    for (double &each : left)
+        each *= tolerance;
+    for (int velocity = 0; velocity <= p->velocity; velocity++) {
+        const double *x = velocity ? r->v : r->q, *f = velocity ? r->f_v : r->f_q;
+        if (!p->own) {
+            std::fill(values.begin(), values.end(), 0.0);
+            load_tangents(p, r, factors, velocity, values.data());
+            f = values.data();
+        }
+        for (Size i = 0; i < p->n_q; i++)
+            for (int32_t e = p->K.first[i]; e < p->K.first[i + 1]; e++)
+                left[i] += ROUNDINGS * DBL_EPSILON * fabs(f[e] * x[p->K.columns[e]]);
+    }
+    return size_of<double>(p->n_q, left.data(), p->inverse);
+}
+
 /* Newton's method for one step from the guess in a and lam, where the solution stands then; whether
  * the residual there is finite comes with it.
  *
@@ -609,15 +635,18 @@ int iterated(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Befo
             motion;
         double rate = last > 0 && last < INFINITY ? fmin(size / last, 1) : size > 0;
         ending->size = size;
-        if (last < INFINITY && size > rules->round_off) {
-            ending->slowest = fmax(ending->slowest, rate);
-            if (rate > how->allowed)
-                return NO_CONVERGENCE;
-        }
         /* Corrections of a fresh matrix are round-off; of stiff bodies far from balance corrections
          * are small too, and forces must balance. */
         int stuck = fresh && rate > 0.5 && size <= rules->round_off &&
                     unbalanced<T>(p, r) <= rules->round_off * now;
+        if (!stuck && i >= USUAL)
+            stuck = unbalanced<T>(p, r) <=
+                    at_rest<T>(p, r, of_loads + AT_END * p->n_factors, rules->tolerance);
+        if (!stuck && last < INFINITY && size > rules->round_off) {
+            ending->slowest = fmax(ending->slowest, rate);
+            if (rate > how->allowed)
+                return NO_CONVERGENCE;
+        }
         /* Quadratic convergence squares the rate again. */
         double left = size * (fresh ? fmin(1, rate * rate) : rate / fmax(1 - rate, 1e-3));
         if (settled || stuck || left <= tolerance || size <= tolerance) {
@@ -694,7 +723,7 @@ int stepped(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Befor
     if (small) {
         const T *at_start[1];
         at_instant<T>(p, r, of_joints, AT_START, 0, at_start);
-        constraint_at<T>(p, r, at_start, b->q, nullptr, r->defect);
+        constraint_at<T>(p, r, 0, at_start, b->q, nullptr, r->defect);
         for (Size i = 0; i < p->n_lam; i++)
             r->defect[i] *= allowed / noise;
     }
@@ -748,50 +777,21 @@ Size marched(const Plan<T> *p, Room<T> *r, Before<T> *b, Size k, const double *h
     return k;
 }
 
-/* Tables of factors of one step, rows of the tables of `marched`, with (turn / 1 rad)^order. */
-template <class T> struct StepTables {
-    const T *of_joints, *of_loads;
-    Size instants;
-    double turn;
-};
-
-/* What laws say of a step from t to `end`; without laws factors do not change, and are the times in a
- * system of one's own, which begin at `start`. */
-template <class T> struct StepLaws {
-    T times[ALL_INSTANTS];
-    double start;
-
-    explicit StepLaws(double at) : start(at) {}
-    virtual ~StepLaws() = default;
-    /* Whether they are known: else an error of Python is set. */
-    virtual bool at(const MarchRules *rules, double t, double end, double h, StepTables<T> *to)
-    {
-        times[AT_END] = start + end, times[AT_START] = start + t;
-        for (int k = 0; k < 3; k++)
-            times[AT_GAUSS + k] = times[RATE_AT_GAUSS + k] = start + (t + rules->places[k] * h);
-        *to = {times, times, ALL_INSTANTS, 0};
-        return true;
-    }
-};
-
-/* A run under error control: the tolerance, relative and the least of each coordinate, whose vectors
- * have d numbers and count from a place; where it stands; and rows of states, of which the last one
- * is `taken`: rows of `marched`, and a, ends, sizes of the motion and numbers of the filter. */
-template <class T> struct ControlledRun {
+/* A run of HHT-I3 under error control (control.h): the tolerance, whose vectors count from a place,
+ * where the run stands, and rows of states: rows of `marched`, with a and sizes of the motion. */
+template <class T> struct ControlledRun final : StepRun {
     const Plan<T> *plan;
     Room<T> *room;
-    StepFilter *filter;
     StepLaws<T> *laws;
     const Attempt<T> *how;
-    Size n_stops, d, n, most;
-    const double *stops, *least, *place;
-    double rtol, t, last, until;
+    StepTolerance tolerance;
+    const double *place;
     Before<T> first;
     T *rows[4], *a;
-    double *ends, *motion;
-    StepFilter *filters;
-    Size taken, rejected;
+    double *motion;
     Ending ending;
+
+    int tried(double h, double end, double *e) override;
 };
 
 /* The state after some of the steps. */
@@ -809,38 +809,22 @@ template <class T>
 double step_error(const ControlledRun<T> *c, double h, const T *before, const T *after,
                   const T *a_before, const T *a)
 {
-    const Plan<T> *p = c->plan;
-    double alpha = p->rules.alpha, sum = 0, scale = -(1 + 3 * (alpha * alpha)) / 12 * (h * h);
-    for (Size i = 0; i < p->n_q; i += c->d) {
-        double of_before = 0, of_after = 0;
-        for (Size k = i; k < i + c->d; k++) {
-            double x = real_part(before[k]) - c->place[k], y = real_part(after[k]) - c->place[k];
-            of_before += x * x, of_after += y * y;
-        }
-        double size = c->rtol * sqrt(fmax(of_before, of_after) / (double)c->d);
-        if (!isfinite(of_before + of_after))
-            return NAN;
-        for (Size k = i; k < i + c->d; k++) {
-            double delta = scale * real_part(a[k] - a_before[k]);
-            double ratio = delta * (c->filter->t_end / h) / (size + c->least[k]);
-            sum += ratio * ratio;
-        }
-    }
-    return sqrt(sum / (double)p->n_q);
+    double alpha = c->plan->rules.alpha, scale = -(1 + 3 * (alpha * alpha)) / 12 * (h * h);
+    double share = c->filter->t_end / h;
+    auto defect = [&](Size k) { return scale * real_part(a[k] - a_before[k]) * share; };
+    return error_against(c->tolerance, before, after, c->place, defect, [](Size) { return 0.0; });
 }
 
-/* Try a step of size h to `end` from the state after those taken; writes the state behind it, and e
- * where it is solved: 0, or as `marched`. */
-template <class T> int tried(ControlledRun<T> *c, double h, double end, double *error)
+template <class T> int ControlledRun<T>::tried(double h, double end, double *e)
 {
-    const Plan<T> *p = c->plan;
-    Room<T> *r = c->room;
+    const Plan<T> *p = plan;
+    Room<T> *r = room;
     StepTables<T> tables;
-    if (!c->laws->at(&p->rules, c->t, end, h, &tables))
+    if (!laws->at(t, end, h, &tables))
         return LAW_RAISED;
-    Before<T> old = state_after(c, c->taken), begin = old;
+    Before<T> old = state_after(this, taken), begin = old;
     StepCoefficients of = coefficients_of_step(h, p->rules.alpha);
-    double ratio = h / c->last;
+    double ratio = h / last;
     Size counts[3];
     if (ratio != 1) {
         for (Size i = 0; i < p->n_q; i++)
@@ -848,56 +832,18 @@ template <class T> int tried(ControlledRun<T> *c, double h, double end, double *
         begin.a = r->start;
     }
     memcpy(counts, r->counts, sizeof counts);
-    int ends = stepped<T>(p, r, &of, &begin, tables.of_joints, tables.instants, tables.of_loads,
-                          c->how, &c->ending);
-    if (ends && ends < NO_CONVERGENCE)
+    int failed = stepped<T>(p, r, &of, &begin, tables.of_joints, tables.instants, tables.of_loads,
+                            how, &ending);
+    if (failed && failed < NO_CONVERGENCE)
         memcpy(r->counts, counts, sizeof counts);
-    if (ends)
-        return ends;
-    Size k = c->taken;
-    T *q = c->rows[0] + k * p->n_q, *a = c->a + k * p->n_q;
-    state_of<T>(p, r, &of, old.A, r->a, q, c->rows[1] + k * p->n_q, c->rows[2] + k * p->n_q);
-    memcpy(c->rows[3] + k * p->n_lam, r->lam, (size_t)p->n_lam * sizeof(T));
-    memcpy(a, r->a, (size_t)p->n_q * sizeof(T));
-    c->ends[k] = end, c->motion[k] = c->ending.motion;
-    double found = step_error<T>(c, h, old.q, q, begin.a, a);
-    *error = tables.turn > found || isnan(tables.turn) ? tables.turn : found;
+    if (failed)
+        return failed;
+    Size k = taken;
+    T *q = rows[0] + k * p->n_q, *to = a + k * p->n_q;
+    state_of<T>(p, r, &of, old.A, r->a, q, rows[1] + k * p->n_q, rows[2] + k * p->n_q);
+    memcpy(rows[3] + k * p->n_lam, r->lam, (size_t)p->n_lam * sizeof(T));
+    memcpy(to, r->a, (size_t)p->n_q * sizeof(T));
+    motion[k] = ending.motion;
+    *e = larger_error(tables.turn, step_error<T>(this, h, old.q, q, begin.a, to));
     return 0;
-}
-
-/* Take steps under error control until there are `most`, the run ends, or the clock says so. */
-template <class T> int controlled(ControlledRun<T> *c)
-{
-    double begin = c->t, first = c->last, h, end;
-    while (c->taken < c->most) {
-        if (step_planned(c->filter, c->n_stops, c->stops, c->t, &h, &end) != STEP_PLANNED)
-            return ALL_TAKEN;
-        double error = NAN;
-        int ends = tried<T>(c, h, end, &error);
-        if (ends == LAW_RAISED || ends == MATRIX_SINGULAR || (ends && ends < NO_CONVERGENCE))
-            return ends;
-        Size next = step_judged(c->filter, c->n, c->t, h, !ends, error);
-        if (next > c->n) {
-            c->filters[c->taken++] = *c->filter;
-            c->n = next, c->t = end, c->last = h;
-        } else {
-            c->rejected++;
-            if (next < 0)
-                return ends ? ends : ERROR_TOO_LARGE;
-            if (next == 0)
-                return BEGIN_ANEW;
-            if (next < c->n && c->taken == 0)
-                return STEP_BEFORE;
-            if (next < c->n) {
-                c->rejected++, c->taken--, c->n = next;
-                c->t = c->taken ? c->ends[c->taken - 1] : begin;
-                c->last = c->taken == 0  ? first
-                          : c->taken == 1 ? c->t - begin
-                                          : c->t - c->ends[c->taken - 2];
-            }
-        }
-        if (seconds_now() > c->until)
-            return OUT_OF_TIME;
-    }
-    return ALL_TAKEN;
 }

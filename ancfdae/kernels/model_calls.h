@@ -39,11 +39,14 @@ template <class T> struct Called final : Equations<T> {
         Locked python;
         taken(called(of[JACOBIAN], real_part(t), row(q)), n_B, B);
     }
-    void constraint(T t, const T *q, const T *v, T *Phi) override
+    void constraint(T t, int order, const T *q, const T *v, T *Phi) override
     {
         Locked python;
-        taken(v ? called(of[CONSTRAINT], real_part(t), row(q), row(v))
-                : called(of[CONSTRAINT], real_part(t), row(q)),
+        const Ref &f = of[CONSTRAINT];
+        double at = real_part(t);
+        taken(order == 0   ? called(f, at, row(q))
+              : order == 1 ? called(f, at, row(q), row(v))
+                           : called(f, at, row(q), row(v), zeros<T>({n_q})),
               n_lam, Phi);
     }
     void force(T t, const T *q, const T *v, T *Q) override
@@ -115,6 +118,8 @@ template <class T> struct Planned {
     enum { SCENE_ITEMS = 14, LIST_ITEMS = 8, CALLED_ITEMS = 6 };
     Items given;
     std::vector<MovingLoad<T>> moving;
+    std::optional<Kept<Elements>> elements; /* of a scene */
+    std::vector<Kept<LoadPlan>> load_plans;
     Listed<T> listed = {};
     Called<T> callers = {};
     ConstraintTable sizes = {}; /* of a system of one's own */
@@ -142,7 +147,7 @@ template <class T> struct Planned {
     void take_scene()
     {
         Plan<T> *p = &plan;
-        auto block = given.take<Kept<Elements>>();
+        const Kept<Elements> &block = elements.emplace(given.take<Kept<Elements>>());
         Size n = p->n_q = block->n_q, size = (Size)(block->n_y + 1) * block->d;
         p->block = block->in<T>(1), p->n_y = block->n_y, p->d = block->d;
         p->damped = p->velocity = p->block.tau != nullptr;
@@ -167,6 +172,7 @@ template <class T> struct Planned {
             moving.push_back({&load->table, load->template in<T>(), velocity, p->n_factors});
             p->n_factors += 1 + load->table.n_signals;
             p->velocity |= velocity;
+            load_plans.push_back(std::move(load));
         }
         p->moving = moving.data(), p->n_moving = (Size)moving.size();
     }
@@ -198,8 +204,8 @@ template <class T> struct Planned {
         given(listed.b, {&listed.n_b});
         take_sizes();
         Size n = listed.n_q = plan.n_q, n_lam = listed.n_lam = plan.n_lam, nnz = plan.nnz;
-        Size outputs[] = {sizes.n_values, n_lam, n_lam, n, nnz, (plan.velocity ? 2 : 1) * nnz};
-        must(own.size() == MARCH_LISTS, "a plan must have six lists of operations");
+        Size outputs[] = {sizes.n_values, n_lam, n_lam, n_lam, n, nnz, (plan.velocity ? 2 : 1) * nnz};
+        must(own.size() == MARCH_LISTS, "a plan must have seven lists of operations");
         for (size_t i = 0; i < MARCH_LISTS; i++) {
             const Operations *of = listed.of[i] = &own[i]->list;
             listed.constants[i] = own[i]->template constants<T>();
@@ -373,70 +379,101 @@ Size py_judge_step(InPlace<double> filter, Size n, double t, double h, std::opti
     return step_judged(filter_of(filter), n, t, h, error.has_value(), error.value_or(NAN));
 }
 
-/* Laws that a function of Python evaluates: of (t, end, h) it returns rows of factors of joints and
- * of loads, and (turn / 1 rad)^order. */
+/* Laws that a function of Python evaluates: of (t, end, h) it returns rows of factors of joints, at
+ * least some, and of loads, and (turn / 1 rad)^order. */
 template <class T> struct CalledLaws final : StepLaws<T> {
     const Plan<T> *plan;
-    const Ref &function;
+    Ref function;
+    Size least, of_loads;
     std::optional<Items> found;
 
-    CalledLaws(const Plan<T> *of, const Ref &called, double start)
-        : StepLaws<T>(start), plan(of), function(called)
+    CalledLaws(const Plan<T> *of, std::tuple<Ref, double> &given, std::vector<double> fractions,
+               Size rows, Size rows_of_loads)
+        : StepLaws<T>(std::get<1>(given), fractions), plan(of), function(std::move(std::get<0>(given))),
+          least(rows), of_loads(rows_of_loads)
     {
+        must(function.get() != Py_None || of->own || (of->still && of->n_factors == 0),
+             "there must be laws of a system with factors");
     }
-    bool at(const MarchRules *rules, double t, double end, double h, StepTables<T> *to) override
+    bool at(double t, double end, double h, StepTables<T> *to) override
     {
         if (function.get() == Py_None)
-            return StepLaws<T>::at(rules, t, end, h, to);
+            return StepLaws<T>::at(t, end, h, to);
         Locked python;
         return guarded([&]() -> PyObject * {
             Items &tables = found.emplace(called(function, t, end, h).get(), 3);
             tables(to->of_joints, {&to->instants, plan->constraints->n_parts})(
-                to->of_loads, {2, plan->n_factors});
+                to->of_loads, {of_loads, plan->n_factors});
             to->turn = tables.template take<double>();
-            must(plan->still || to->instants >= 2, "there must be factors at both ends of a step");
+            must(plan->still || to->instants >= least, "there must be factors at all instants");
             if (plan->still)
-                to->instants = ALL_INSTANTS;
+                to->instants = (Size)this->fractions.size();
             return Py_None;
         });
     }
 };
 
-/* `at` holds the motion, the instant n, its time, and the size of the step that led there. Returns the
- * number of steps, why it ends, how many were rejected, counts, and the size of the last correction. */
+/* Take the control of a run from (numbers of a filter, stops), the first one empty for known steps, with
+ * (n, t, size of the step before) and rows (ends, numbers of filters). */
+void take_control(StepRun *c, Items &control, Items &beside,
+                  const std::tuple<Size, double, double> &at)
+{
+    Size k, numbers = sizeof(StepFilter) / sizeof(double);
+    double *filters;
+    beside(c->ends, {&k})(filters, {k, numbers});
+    auto filter = control.take<InPlace<double>>();
+    control(c->stops, {&c->n_stops});
+    c->filter = filter.size ? filter_of(filter) : nullptr;
+    c->filters = (StepFilter *)filters, c->most = k;
+    std::tie(c->n, c->t, c->last) = at;
+}
+
+/* A function of Python that returns the error of derivatives of a step, of (h, end). */
+std::function<bool(double, double, double *)> errors_of(const Ref &function)
+{
+    if (function.get() == Py_None)
+        return nullptr;
+    return [&function](double h, double end, double *error) -> bool {
+        Locked python;
+        return guarded([&]() -> PyObject * {
+            *error = From<double>::object(called(function, h, end).get());
+            return Py_None;
+        });
+    };
+}
+
+/* Returns the number of steps, why it ends, how many were rejected, counts, and the size of the last
+ * correction. `at` holds n, t, and the size of the step that led there. */
 template <class T, class M>
 std::tuple<Size, int, Size, Counts, double>
-py_march_controlled(Kept<M> model, Fields<5> state, std::tuple<double, Size, double, double> at,
-                    InPlace<double> filter, Array<double, 1> stops, Fields<4> tolerance,
-                    std::tuple<Ref, double> laws, Fields<4> rows, Fields<4> beside,
+py_march_controlled(Kept<M> model, Fields<5> state, std::tuple<Size, double, double> at,
+                    double motion, Fields<2> control, Fields<4> tolerance, std::tuple<Ref, double> laws, Ref along,
+                    Fields<4> rows, Fields<2> of_steps, Fields<2> beside,
                     std::tuple<double, Size, double> limits)
 {
     const Plan<T> *p = &model->plan;
     Room<T> *r = &model->room;
-    Size n_q = p->n_q, k;
-    ControlledRun<T> c = {};
-    double *filters;
-    beside(c.a, {&k, n_q})(c.ends, {k})(c.motion, {k})(
-        filters, {k, (Size)(sizeof(StepFilter) / sizeof(double))});
+    Size n_q = p->n_q;
+    ControlledRun<T> c{};
+    take_control(&c, control, of_steps, at);
+    Size k = c.most;
+    must(c.filter, "there are other numbers of a filter");
+    beside(c.a, {k, n_q})(c.motion, {k});
     state(c.first.q, {n_q})(c.first.v, {n_q})(c.first.a, {n_q})(c.first.lam, {p->n_lam})(
         c.first.A, {n_q});
     rows(c.rows[0], {k, n_q})(c.rows[1], {k, n_q})(c.rows[2], {k, n_q})(c.rows[3], {k, p->n_lam});
-    c.rtol = tolerance.take<double>();
-    tolerance(c.least, {n_q})(c.place, {n_q});
-    c.d = tolerance.take<Size>();
-    auto &[function, start] = laws;
-    must(c.d > 0 && n_q % c.d == 0 &&
-             (function.get() != Py_None || p->own || (p->still && p->n_factors == 0)),
-         "tolerances or laws do not fit");
-    CalledLaws<T> of_laws(p, function, start);
+    c.tolerance.rtol = tolerance.take<double>(), c.tolerance.n = n_q;
+    tolerance(c.tolerance.least, {n_q})(c.place, {n_q});
+    c.tolerance.d = tolerance.take<Size>();
+    must(c.tolerance.d > 0 && n_q % c.tolerance.d == 0, "vectors do not fit");
+    const double *g = p->rules.places;
+    CalledLaws<T> of_laws(p, laws, {1, 0, g[0], g[1], g[2], g[0], g[1], g[2]}, 2, 2);
     auto [newton, iterations, seconds] = limits;
     Attempt<T> how = {nullptr, nullptr, newton, INFINITY, (double)iterations};
-    c.plan = p, c.room = r, c.filter = filter_of(filter), c.laws = &of_laws, c.how = &how;
-    c.n_stops = stops.size, c.stops = stops.data, c.most = k, c.filters = (StepFilter *)filters;
-    std::tie(c.first.motion, c.n, c.t, c.last) = at;
-    c.until = seconds_now() + seconds, c.ending = {c.first.motion, INFINITY, 0};
+    c.plan = p, c.room = r, c.laws = &of_laws, c.how = &how, c.along = errors_of(along);
+    c.until = seconds_now() + seconds, c.first.motion = motion, c.ending = {motion, INFINITY, 0};
     memset(r->counts, 0, sizeof r->counts);
-    int why = unlocked([&] { return controlled<T>(&c); });
+    int why = unlocked([&] { return steps_taken(&c); });
     return {c.taken, why, c.rejected, Counts{r->counts[0], r->counts[1], r->counts[2]},
             c.ending.size};
 }
@@ -583,32 +620,91 @@ struct Coupled {
     }
 };
 
-/* From (q, v, a, lam) before a step: how it ends, size of the last correction, and counts. */
+/* Returns the number of steps, why it ends, how many were rejected and continued, counts, size of the last
+ * correction, and the last e. */
 template <class T, class M>
-std::tuple<int, double, Counts>
-py_solve_stages(Kept<M> model, Kept<CoupledMatrix> coupled, Fields<4> state, InPlace<T> x, InPlace<T> lam,
-                Array<T> of_joints, Array<T> of_loads, Fields<2> settings)
+std::tuple<Size, int, Size, Size, Counts, double, double>
+py_march_stages(Kept<M> model, Kept<CoupledMatrix> coupled, Fields<4> before,
+                std::tuple<Size, double, double> at, Fields<4> control, Ref tolerance,
+                std::tuple<Ref, double> laws, Ref along, Fields<5> rows, Fields<2> of_steps,
+                Fields<2> settings, double seconds)
 {
     const Plan<T> *p = &model->plan;
-    Size n_q = p->n_q, n_lam = p->n_lam, n = STAGES * (n_q + n_lam);
+    Size n_q = p->n_q, n_lam = p->n_lam, n = STAGES * (n_q + n_lam), n_B = p->constraints->n_values;
     Coupled matrix(coupled, *p);
     StageTableau tableau;
-    StageRules rules;
-    StageStep<T> s = {};
-    state(s.q, {n_q})(s.v, {n_q})(s.a, {n_q})(s.lam_before, {n_lam});
-    settings.numbers(tableau).numbers(rules);
-    must(x.has({STAGES, n_q}) && lam.has({STAGES, n_lam}) &&
-             (p->still ? of_joints.axes == 2
-                       : of_joints.has({STAGES + 1, p->constraints->n_parts})) &&
-             of_loads.has({STAGES + 1, p->n_factors}),
-         "stages and factors must have the shapes of a plan");
-    auto room = room_for<T>(2 * n + STAGES * p->constraints->n_values);
-    s.plan = p, s.room = &model->room, s.matrix = &matrix.matrix;
-    s.tableau = &tableau, s.rules = &rules;
-    s.of_joints = of_joints.data, s.of_loads = of_loads.data, s.x = x.data, s.lam = lam.data;
-    s.R = room.get(), s.change = s.R + n, s.B = s.change + n;
-    int ends = unlocked([&] { return stages_iterated<T>(&s); });
-    return {ends, s.size, Counts{s.iterations, s.factorisations, s.stuck}};
+    StageRun<T> c{};
+    StageStep<T> *s = &c.step;
+    before(c.before[0], {&c.n_before, n_q})(c.before[1], {c.n_before, n_q})(
+        c.before[2], {c.n_before, n_q})(c.before[3], {c.n_before, n_lam});
+    must(c.n_before == 1 || c.n_before == STAGES + 1, "there must be one row, or those of a step");
+    take_control(&c, control, of_steps, at);
+    Size k = c.filter ? -1 : c.most, of_rows = STAGES * c.most;
+    control(c.sizes, {k})(c.known_ends, {k});
+    rows(c.instants, {of_rows})(c.rows[0], {of_rows, n_q})(c.rows[1], {of_rows, n_q})(
+        c.rows[2], {of_rows, n_q})(c.rows[3], {of_rows, n_lam});
+    settings.numbers(tableau).numbers(c.rules);
+    std::optional<Items> given;
+    c.controlled = tolerance.get() != Py_None;
+    must(c.controlled || !c.filter, "a filter needs tolerances");
+    if (c.controlled) {
+        given.emplace(tolerance.get(), 7);
+        for (StepTolerance &each : c.tolerances)
+            each.n = n_q, each.rtol = given->take<double>(), (*given)(each.least, {n_q});
+        (*given)(c.place, {n_q})(c.scale, {n_q});
+        Size d = c.tolerances[0].d = c.tolerances[1].d = given->take<Size>();
+        must(d > 0 && n_q % d == 0, "vectors do not fit");
+    }
+    const double *of = tableau.c;
+    CalledLaws<T> of_laws(p, laws, {of[0], of[1], 1, 0}, STAGES * (STAGES + 1), STAGES + 1);
+    auto room = room_for<T>(2 * n + STAGES * n_B + n);
+    auto reals = room_for<double>(n_B + p->nnz + 10 * n_q);
+    s->plan = p, s->room = &model->room, s->matrix = &matrix.matrix;
+    s->tableau = &tableau, s->rules = &c.rules;
+    s->R = room.get(), s->change = s->R + n, s->B = s->change + n;
+    s->x = s->B + STAGES * n_B, s->lam = s->x + STAGES * n_q;
+    c.factored = reals.get(), c.reals = c.factored + n_B + p->nnz;
+    c.laws = &of_laws, c.along = errors_of(along), c.until = seconds_now() + seconds;
+    int why = unlocked([&] { return steps_taken(&c); });
+    return {c.taken, why, c.rejected, c.continued, Counts{c.counts[0], c.counts[1], c.counts[2]},
+            s->size, c.error};
+}
+
+/* dq and dv by the embedded formula for rows of derivatives, from (q, v, a, lam) and factors of the middle
+ * stage: why it ends. Rows are v_b at the start and the stages, a_b at the start, and x_b. */
+int py_embedded_errors(Kept<Model> model, double h, Fields<4> state, Fields<2> factors, Fields<3> rows,
+                       InPlace<double> errors, Array<double, 1> numbers)
+{
+    const Plan<double> *p = &model->plan;
+    Room<double> *r = &model->room;
+    Size n_q = p->n_q, n_lam = p->n_lam, n_b;
+    const double *q, *v, *a, *lam, *of_joints, *of_loads, *v_b, *a_b, *x_b;
+    StageTableau tableau;
+    state(q, {n_q})(v, {n_q})(a, {n_q})(lam, {n_lam});
+    factors(of_joints, {p->constraints->n_parts})(of_loads, {p->n_factors});
+    rows(v_b, {STAGES + 1, &n_b, n_q})(a_b, {n_b, n_q})(x_b, {STAGES, n_b, n_q});
+    must(errors.has({2, n_b, n_q}) && numbers.size * sizeof(double) == sizeof tableau,
+         "errors must have the shape of rows");
+    memcpy(&tableau, numbers.data, sizeof tableau);
+    return unlocked([&] {
+        StepCoefficients of = of_embedded(&tableau, h);
+        std::copy(q, q + n_q, r->q), std::copy(v, v + n_q, r->v);
+        std::copy(a, a + n_q, r->A), std::copy(lam, lam + n_lam, r->lam);
+        at_instant<double>(p, r, of_joints, 0, 0, r->c);
+        jacobian_at<double>(p, r, r->c, q);
+        r->exchanging = 0;
+        int failed = factorised(p, r, &of, of_loads);
+        for (Size b = 0; b < n_b && !failed; b++) {
+            const double *v_of[STAGES + 1], *x_of[STAGES];
+            for (int i = 0; i <= STAGES; i++)
+                v_of[i] = v_b + (i * n_b + b) * n_q;
+            for (int i = 0; i < STAGES; i++)
+                x_of[i] = x_b + (i * n_b + b) * n_q;
+            failed = embedded_error(p, r, &tableau, h, v_of, a_b + b * n_q, x_of,
+                                    errors.data + b * n_q, errors.data + (n_b + b) * n_q);
+        }
+        return failed;
+    });
 }
 
 /* ---- passes over stages --------------------------------------------------------------------- */

@@ -156,6 +156,23 @@ std::tuple<Array<T>, Array<T>> py_gradient(Kept<ConstraintPlan> plan, Array<T, 3
     return {std::move(on_l), std::move(on_c)};
 }
 
+/* (variable, number, first, part, entry, value): what design variables change in constraints. */
+ConstraintPartials constraint_partials(Items &entries, const ConstraintTable &p)
+{
+    ConstraintPartials of = {};
+    Size n, numbers, values;
+    entries(of.variable, {&n})(of.number, {&numbers})(of.first, {numbers + 1})(of.part, {&values})(
+        of.entry, {values})(of.value, {values});
+    of.n_b = n - 1;
+    must(ascending(Span<int32_t>{of.variable, n}, numbers) &&
+             ascending(Span<int32_t>{of.first, numbers + 1}, values) &&
+             within(Span<int32_t>{of.number, numbers}, 0, p.n_joints - 1) &&
+             within(Span<int32_t>{of.part, values}, 0, p.n_parts - 1) &&
+             within(Span<int32_t>{of.entry, values}, 0, p.n_l + p.n_c - 1),
+         "these are not the partials of constraints");
+    return of;
+}
+
 Array<double> py_totals(Kept<ConstraintPlan> plan, Fields<6> entries, Array<double, 3> factors,
                         Maybe<double, 4> factors_b, Maybe<double, 1> lam, Maybe<double, 2> lam_b,
                         std::vector<Array<double, 1>> motion,
@@ -163,17 +180,9 @@ Array<double> py_totals(Kept<ConstraintPlan> plan, Fields<6> entries, Array<doub
 {
     ConstraintStates<double> x(*plan, factors, lam, motion);
     const ConstraintTable *p = x.p;
-    ConstraintPartials of = {};
-    Size n, numbers, values, k = x.k;
-    entries(of.variable, {&n})(of.number, {&numbers})(of.first, {numbers + 1})(of.part, {&values})(
-        of.entry, {values})(of.value, {values});
-    Size n_b = of.n_b = n - 1;
-    must(ascending(Span<int32_t>{of.variable, n}, numbers) &&
-             ascending(Span<int32_t>{of.first, numbers + 1}, values) &&
-             within(Span<int32_t>{of.number, numbers}, 0, p->n_joints - 1) &&
-             within(Span<int32_t>{of.part, values}, 0, p->n_parts - 1) &&
-             within(Span<int32_t>{of.entry, values}, 0, p->n_l + p->n_c - 1),
-         "these are not the partials of constraints");
+    ConstraintPartials of = constraint_partials(entries, *p);
+    Size n_b = of.n_b, k = x.k;
+    of.orders = x.n + 1;
     must(x.instants == k && (!factors_b || factors_b->ends({n_b, x.n + 1, k, p->n_parts})),
          "there must be factors for each state, and factors_b for each variable");
     of.factors_b = data_of(factors_b);

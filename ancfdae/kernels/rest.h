@@ -54,7 +54,7 @@ template <class T> int rest_residual(const Plan<T> *p, Room<T> *r, const RestPro
 {
     double left = 1 - x->rules.s;
     T sum = 0, *R = r->R;
-    constraint_at<T>(p, r, r->c, r->q, nullptr, r->Phi);
+    constraint_at<T>(p, r, 0, r->c, r->q, nullptr, r->Phi);
     jacobian_at<T>(p, r, r->c, r->q);
     reaction_of<T>(p, r, r->lam, r->reaction);
     force_at<T>(p, r, x->of_loads, r->q, r->v);

@@ -12,12 +12,12 @@ void rooms_of(const Plan<T> &p, Size of_lists, Room<T> *r, T **lists, std::vecto
     for (Size k = 0; k < p.n_moving; k++)
         of_load = std::max(of_load, load_work<T>(p.moving[k].plan, p.moving[k].plan->n_U));
     for (T **x : {&r->q_p, &r->dq_p, &r->v_p, &r->q, &r->v, &r->A, &r->a, &r->Q, &r->inner,
-                  &r->reaction, &r->ahead, &r->start, &r->force})
+                  &r->reaction, &r->ahead, &r->start, &r->force, &r->still})
         all->push_back({x, p.n_q});
     for (T **x : {&r->lam, &r->Phi, &r->rate, &r->defect})
         all->push_back({x, p.n_lam});
-    for (Wanted<T> x : {Wanted<T>{&r->U, vectors_room(c, 1)}, {&r->B, c->n_values}, {&r->R, n},
-                        {&r->x, n}, {&r->at_end, c->n_c}, {&r->within, 2 * c->n_c}, {&r->mass, own},
+    for (Wanted<T> x : {Wanted<T>{&r->U, vectors_room(c, 2)}, {&r->B, c->n_values}, {&r->R, n},
+                        {&r->x, n}, {&r->at_end, c->n_c}, {&r->within, 3 * c->n_c}, {&r->mass, own},
                         {&r->turned, own}, {lists, of_lists}, {&r->of_load, of_load}})
         all->push_back(x);
 }

@@ -23,26 +23,6 @@ struct StagePass {
     double *straight, *side, *x, *all;
 };
 
-/* M and Phi_q by themselves. */
-const StepCoefficients OF_MASS_ALONE = {0, 0, 0, 0, 0, 0, 1};
-
-/* Factorise M and Phi_q as they stand in the room: 0, or as `factor_sum`. */
-int mass_factorised(const Plan<double> *p, Room<double> *r)
-{
-    r->exchanging = 0;
-    memset(r->f_q, 0, (size_t)p->nnz * sizeof(double));
-    if (p->velocity)
-        memset(r->f_v, 0, (size_t)p->nnz * sizeof(double));
-    return factor_sum(p, r, &OF_MASS_ALONE, r->f_q, nullptr, r->B);
-}
-
-/* x = [M Phi_q^T; Phi_q 0]^-1 right, or its transpose, for rows. */
-int mass_solved(const Plan<double> *p, Room<double> *r, char how, Size rows, const double *right,
-                double *x)
-{
-    return solved_rows(p, r, &OF_MASS_ALONE, how, TO_ROUND_OFF, rows, right, x);
-}
-
 /* Find (a, lam) and (v - V, sigma) of k stages, rows of `found`, from q, V and rough accelerations,
  * from stage `first` on; returns the number of the next. */
 Size stages_found(const Plan<double> *p, Room<double> *r, Size k, Size first, const double *of_joints,
@@ -64,7 +44,7 @@ Size stages_found(const Plan<double> *p, Room<double> *r, Size k, Size first, co
         memcpy(right.get(), r->Q, (size_t)n_q * sizeof(double));
         csr_rows<double>(n_lam, p->B.first, p->B.columns, r->B, 1, n_q, A + i * n_q, r->work, 1, n,
                          right.get() + n_q);
-        constraint_at<double>(p, r, c, q + i * n_q, V + i * n_q, r->Phi);
+        constraint_at<double>(p, r, 1, c, q + i * n_q, V + i * n_q, r->Phi);
         for (Size e = 0; e < n_lam; e++)
             right[(size_t)(n + n_q + e)] = -r->Phi[e];
         if ((*ends = mass_solved(p, r, 'N', 2, right.get(), found + 2 * i * n)))

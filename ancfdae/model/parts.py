@@ -240,10 +240,6 @@ class Part(Designable, abc.ABC):
         """Return the declared position on the ground, shape (d,), m; None if undeclared."""
         return self._given().get("ground")
 
-    def on_ground(self, place: Sequence[float]) -> Self:
-        """Return the same part with `ground` set to the position `place`, shape (d,); m."""
-        return replace(self, ground=tuple(place))  # type: ignore[call-arg]
-
     @property
     def whole_beams(self) -> tuple[str, ...]:
         """Names of the beams that the part acts on along their whole length."""
@@ -388,7 +384,8 @@ def on_ground(part: _Any, member: _Member) -> _Any:
     given = part._given()
     if "ground" not in given or given["ground"] is not None or given.get("other"):
         return part
-    return part.on_ground(reference_place(given["point"], member).tolist())
+    place = tuple(reference_place(given["point"], member).tolist())
+    return replace(part, ground=place)  # type: ignore[call-arg]
 
 
 @final

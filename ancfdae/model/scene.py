@@ -113,7 +113,8 @@ class Scene(SceneDesign):
             self.frame.check(self.dimension, self.gravity)
             self._check_states("Scene.frame", self.loads, "Declare the scene in a frame at rest.")
         object.__setattr__(self, "start", tuple(map(self._checked_start, self.start)))
-        self._check_rest()
+        if self.rest is not None:
+            self._check_rest(self.rest)
 
     def __repr__(self) -> str:
         beams = listed(f"{beam.name} ({beam.element_count} elements)" for beam in self.beams)
@@ -236,24 +237,21 @@ class Scene(SceneDesign):
         body = self.member(start.body)
         return checked_start(start, body, self.dimension, self.kinks.get(body.name, ()))
 
-    def _check_rest(self) -> None:
+    def _check_rest(self, rest: EquilibriumStart) -> None:
         """Raise InvalidInputError if an `EquilibriumStart` is given with initial velocities."""
-        rests = [start for start in self.start if isinstance(start, EquilibriumStart)]
-        if not rests:
-            return
-        its = self.loads if rests[0].loads is None else rests[0].loads
+        its = self.loads if rest.loads is None else rest.loads
         repair = "Write EquilibriumStart(loads=[...]) with loads that hold the mechanism at rest."
         self._check_states("EquilibriumStart.loads", its, repair)
-        if rests[0].gravity is not None:
-            require_vector("EquilibriumStart.gravity", rests[0].gravity, (self.dimension,))
+        if rest.gravity is not None:
+            require_vector("EquilibriumStart.gravity", rest.gravity, (self.dimension,))
         starts = self.body_starts
         moving = any(isinstance(s, InitialVelocity) or s.velocities is not None for s in starts)
-        if len(rests) > 1 or moving:
+        if len(self.start) - len(starts) > 1 or moving:
             raise InvalidInputError(
                 "Scene.start",
                 "EquilibriumStart stands alone or with node states without velocities",
                 listed(type(start).__name__ for start in self.start),
-                "Leave out what moves; a NodalState tells where the search starts.",
+                "Leave out what moves; the search starts from a NodalState.",
             )
 
     @staticmethod

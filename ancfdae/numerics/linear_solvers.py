@@ -18,6 +18,13 @@ of K. Pivoting then depends neither on the units nor on the step size. They are 
 exchanges, as a band. If the band is wide (trees, nets and frames of bodies) symmetric matrices are
 factorised by fronts, in an order with little fill (`fronts`). Others are factorised by SuperLU, in
 an order of minimum degree, or in its own order of columns if that fills less (nets).
+
+Copies of one system that are coupled in K, such as the stages of Radau, have the same form:
+
+    [ K_11 .. K_1s   B_1^T         ]
+    [ ..      ..            ..     ]      all K_ij on the pattern of K (n x n),
+    [ K_s1 .. K_ss           B_s^T ]      B_i on that of B (m x n).
+    [ B_1 .. B_s             0     ]
 """
 
 from __future__ import annotations
@@ -25,6 +32,7 @@ from __future__ import annotations
 import abc
 import warnings
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, NamedTuple, TypeAlias, final
@@ -33,7 +41,7 @@ import numpy as np
 import scipy
 
 from ancfdae.errors.kinds import SingularMatrix
-from ancfdae.kernels import Band, Envelope, FrontPlan, narrow_order
+from ancfdae.kernels import Band, CoupledMatrix, Envelope, FrontPlan, narrow_order
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.inertia import ConstrainedPattern, Fronts, Terms
 from ancfdae.numerics.patterns import SparsityPattern
@@ -200,6 +208,12 @@ class SaddlePoint:
         graph = scipy.sparse.csr_array((np.ones(len(rows)), (rows, columns)), (self.size,) * 2)
         count, part = scipy.sparse.csgraph.connected_components(graph, directed=False)
         return int(count), part[: self._n]
+
+    def of_mass(self) -> SaddlePoint:
+        """Return these matrices for a symmetric K, such as a mass matrix."""
+        same = copy(self)
+        same._symmetric, same._envelope = True, self._places.envelope if self._in_band else None
+        return same
 
     def layout(self, band: bool) -> MatrixLayout | None:
         """Return the positions of values in envelope and band; None if the band is too wide.
@@ -421,3 +435,34 @@ class _SparseStorage(_Storage):
         solution = np.empty_like(scaled)
         solution[self._order] = scale * lu.solve(scaled, "T" if transposed else "N")
         return solution
+
+
+def coupled_arrays(
+    copies: int,
+    K: SparsityPattern,
+    B: SparsityPattern,
+    weights: Array,
+    constraint_values: Array,
+    order: Array | None = None,
+) -> CoupledMatrix:
+    """Return the storage of the module's matrix for kernels; weights and values of B scale it.
+
+    If the unknowns of the system have an `order` in a band, all copies of an unknown are adjacent.
+    """
+    m, n = B.shape
+    i, j = np.indices((copies, copies)).reshape(2, -1, 1)
+    rows, columns = K.rows.astype(int) + n * i, K.columns.astype(int) + n * j
+    pattern = SparsityPattern((copies * n, copies * n), rows.ravel(), columns.ravel())
+    places = pattern.index(rows, columns)
+    copy = np.arange(copies)[:, None]
+    B_rows, B_columns = B.rows.astype(int) + m * copy, B.columns.astype(int) + n * copy
+    constraints = SparsityPattern((copies * m, copies * n), B_rows.ravel(), B_columns.ravel())
+    scales = np.tile(weights, copies), np.tile(constraint_values, copies)
+    if order is not None:
+        place, copy = order[:, None], np.arange(copies)
+        multiplier = (copies - 1) * n + copy * m + place
+        order = np.where(place < n, copy * n + place, multiplier).ravel()
+    matrices = SaddlePoint(pattern, constraints, *scales, order=order)
+    layout = matrices.layout(band=True) or matrices.layout_out_of_band()
+    factorise = matrices.exchanging(layout)
+    return CoupledMatrix(layout.order, layout.scale, places.ravel(), layout.band, factorise)

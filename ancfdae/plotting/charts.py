@@ -422,7 +422,12 @@ def _draw_panel(
         entries.setdefault(series.label, line)
     alone = [series for series in panel.series if not series.line]
     for number, series in enumerate(alone):
-        _tell_apart(axes.lines[list(panel.series).index(series)], number)
+        # Points lie over all lines, later series smaller, so that coincident points are visible.
+        points = axes.lines[list(panel.series).index(series)]
+        points.set(zorder=3.0 + 0.01 * number, markersize=max(4.5, 10.0 - 4.0 * number))
+        points.set_markeredgewidth(1.5)
+        if np.size(points.get_xdata()) == 1:
+            points.set(markersize=max(7.0, 13.0 - 3.0 * number))
 
 
 def _between_powers(axis: Axis, x: float, _: int | None = None) -> str:
@@ -454,11 +459,3 @@ def _draw_series(axes: Axes, series: Series, look: Look, place: int) -> Line2D:
         face = look.colour if look.filled else "white"
         line.set(marker=look.marker, markerfacecolor=face, markevery=every)
     return line
-
-
-def _tell_apart(points: Line2D, number: int) -> None:
-    """Draw points over all lines, later series smaller, so that coincident points are visible."""
-    points.set(zorder=3.0 + 0.01 * number, markersize=max(4.5, 10.0 - 4.0 * number))
-    points.set_markeredgewidth(1.5)
-    if np.size(points.get_xdata()) == 1:
-        points.set(markersize=max(7.0, 13.0 - 3.0 * number))

@@ -216,16 +216,13 @@ def _solid(shape: BodyShape | None, d: int) -> tuple[Array, Array, Array]:
     if shape is None:
         return np.zeros((0, 3)), none, none[:, 0]
     if d == 2:
-        x = _seen_along_z(shape)
+        if isinstance(shape, RigidBox):
+            x = _rectangle(shape)
+        else:
+            x = _circle(shape.radius if isinstance(shape, RigidCylinder) else _radius(shape))
         loop = np.arange(len(x))
         return x, _cap(loop), loop
     return (*_surface(shape), none[:, 0])
-
-
-def _seen_along_z(shape: BodyShape) -> Array:
-    if isinstance(shape, RigidBox):
-        return _rectangle(shape)
-    return _circle(shape.radius if isinstance(shape, RigidCylinder) else _radius(shape))
 
 
 def _surface(shape: BodyShape) -> tuple[Array, Array]:

@@ -36,7 +36,7 @@ from ancfdae.equations.saddle_points import saddle_point, solve, solve_transpose
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.hht.equations import Steps, acceleration, correct, predict, require_alpha
-from ancfdae.integrators.problem import Accelerations
+from ancfdae.integrators.problem import accelerations
 from ancfdae.integrators.start import Covectors, consistent_start, pull_back_start
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
@@ -124,10 +124,10 @@ def _with_smooth_multipliers(
     Multipliers of HHT-I3 carry transients of O(h^2) from the start and from changes of the step.
     (37) would divide these by h^2 on the way to zeta, and the gradient would err by O(h).
     """
-    accelerations = Accelerations(system, saddle_point(system, 0.0))
+    solve = accelerations(system, saddle_point(system, 0.0)).solve
     states = list(zip(solution.t[1:], solution.q[1:], solution.v[1:], strict=True))
     bar = progress_bar(progress, states, desc="multipliers", unit="step")
-    later = [accelerations.solve(float(t), q, v)[1] for t, q, v in bar]
+    later = [solve(float(t), q, v)[1] for t, q, v in bar]
     # At the start the reported v has no shift, unlike at later times: extrapolate to the start.
     near, t = slice(0, _LEAST_STEPS), solution.t
     first = scipy.interpolate.BarycentricInterpolator(t[1:][near], later[near])(t[0])

@@ -45,7 +45,7 @@ from ancfdae.numerics.threads import in_one_thread
 from ancfdae.statics.balance import Balance
 from ancfdae.statics.outcome import EquilibriumOutcome
 from ancfdae.statics.search import SearchEnd, search
-from ancfdae.statics.softness import Softness, softest
+from ancfdae.statics.softness import softest
 
 # The two parts of a saddle-point system's unknowns or equations.
 Parts: TypeAlias = tuple[Array, Array]
@@ -309,23 +309,16 @@ def _warn_of_passage(system: MechanicalSystem, q: Array) -> None:
 def _judged(balance: Balance, end: SearchEnd) -> SearchEnd:
     """Return the end with its flutter; warn if round-off hides whether it is stable."""
     soft = softest(balance, 1.0, end.q, end.lam)
-    if end.outcome.stable_to is None and not end.definite:
-        _warn_of_neutral(soft)
+    if end.outcome.stable_to is None and not (end.definite or soft.judged):
+        warnings.warn(
+            "equilibrium: stability is undecided: its softest motion is neutral within the "
+            "round-off of the stiffness, or joints that depend on each other hide it. Repeat it at "
+            "a load that differs by 1 %, or look at the modes about this state.",
+            StabilityWarning,
+            stacklevel=4,
+        )
     outcome = replace(end.outcome, flutter=soft.flutter, flutter_searched=soft.seen_whole)
     return replace(end, outcome=outcome)
-
-
-def _warn_of_neutral(soft: Softness) -> None:
-    """Warn of an equilibrium if round-off hides whether it is stable."""
-    if soft.judged:
-        return
-    warnings.warn(
-        "equilibrium: stability is undecided: its softest motion is neutral within the round-off "
-        "of the stiffness, or joints that depend on each other hide it. Repeat it at a load that "
-        "differs by 1 %, or look at the modes about this state.",
-        StabilityWarning,
-        stacklevel=5,
-    )
 
 
 def resting(system: MechanicalSystem, q: Array, lam: Array, stable: bool) -> Equilibrium:

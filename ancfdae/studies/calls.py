@@ -173,11 +173,8 @@ def simulate(
     return _warned(system, solution)
 
 
-def warn_of_strains(call: str, system: MechanicalSystem, q: Array, level: int = 3) -> None:
-    """Warn, once per call, of bodies strained too far at some states, rows of q.
-
-    `level` is the stack level of the caller of the call, as in `warnings.warn`.
-    """
+def warn_of_strains(call: str, system: MechanicalSystem, q: Array) -> None:
+    """Warn the caller of the call, once, of bodies strained too far at some states, rows of q."""
     strained: dict[str, float] = {}
     for k in np.linspace(0, len(q) - 1, min(len(q), _LOOKS)).round().astype(int):
         for name, strain in system.strained(q[k]).items():
@@ -191,7 +188,7 @@ def warn_of_strains(call: str, system: MechanicalSystem, q: Array, level: int = 
             f"{100 * worst**2:.2g} % (its gradient by twice that; cables bend exactly): take the "
             "results as estimates.",
             LargeStrainWarning,
-            stacklevel=level,
+            stacklevel=3,
         )
 
 

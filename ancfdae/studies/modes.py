@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -348,22 +348,20 @@ class Campbell(PrintedTable):
         their derivatives. A shaft that is not the same in all directions has two for each mode,
         between which it is unstable.
         """
-        found = [x for k in range(len(self.rates) - 1) for x in self._standing(k)]
+        found = list[float]()
+        for k in range(len(self.rates) - 1):
+            both = slice(k, k + 2)
+            circles = np.all(np.abs(self.whirl[both]) >= _CIRCLES, axis=0)
+            s, s_b = self.exponents[both], self.exponents_b[both, :, 0]
+            sense = np.sign(self.whirl[both])
+            # For circular motions the frequency changes its sense; for others s^2 its sign.
+            values = np.where(circles, sense * s.imag, (s * s).real)
+            slopes = np.where(circles, sense * s_b.imag, 2 * (s * s_b).real)
+            for j in np.flatnonzero(np.sign(values[0]) * np.sign(values[1]) < 0):
+                ends = self.rates[both], values[:, j], slopes[:, j]
+                line = scipy.interpolate.CubicHermiteSpline(*ends)
+                found += line.roots(extrapolate=False).tolist()
         return np.array(sorted(found))
-
-    def _standing(self, k: int) -> Iterator[float]:
-        """Yield rotation rates between neighbouring `rates` at which an exponent s crosses zero."""
-        circles = np.all(np.abs(self.whirl[k : k + 2]) >= _CIRCLES, axis=0)
-        s, s_b = self.exponents[k : k + 2], self.exponents_b[k : k + 2, :, 0]
-        sense = np.sign(self.whirl[k : k + 2])
-        # For circular motions the frequency changes its sense; for others s^2 changes its sign.
-        values = np.where(circles, sense * s.imag, (s * s).real)
-        slopes = np.where(circles, sense * s_b.imag, 2 * (s * s_b).real)
-        for j in np.flatnonzero(np.sign(values[0]) * np.sign(values[1]) < 0):
-            line = scipy.interpolate.CubicHermiteSpline(
-                self.rates[k : k + 2], values[:, j], slopes[:, j]
-            )
-            yield from line.roots(extrapolate=False).tolist()
 
     def plot(self, path: str | os.PathLike[str]) -> tuple[Path, ...]:
         """Draw the Campbell diagram of `panels` and save it; return the paths of the files."""

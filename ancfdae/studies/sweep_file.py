@@ -298,7 +298,9 @@ class SweepFile:
                 got = f"{line[:_SHOWN]!r} in line {number}"
                 repair = "Remove this line to compute its row anew, or give another file."
                 raise InvalidInputError(self._where, "must hold rows", got, repair) from cause
-            if k >= len(self._values) or json.dumps(values) != _text(self._values[k]):
+            if k >= len(self._values) or json.dumps(values) != json.dumps(
+                self._values[k], default=_encoded
+            ):
                 raise self._refused("must hold rows of these designs", f"row {k} at {values}")
             rows[k] = SweepRow(self._values[k], result, error)
         return rows
@@ -312,7 +314,7 @@ class SweepFile:
 
     def _write(self, record: object) -> str:
         try:
-            line = _text(record)
+            line = json.dumps(record, default=_encoded)
         except (TypeError, ValueError) as error:
             raise InvalidInputError(
                 "what, file",
@@ -358,10 +360,6 @@ def _row(line: str) -> tuple[int, Any, Any, str]:
     if ("result" in record) == bool(error):
         raise ValueError("no result, or one of a row that failed")
     return k, record["values"], record.get("result"), error
-
-
-def _text(record: object) -> str:
-    return json.dumps(record, default=_encoded)
 
 
 def _encoded(value: object) -> object:

@@ -14,7 +14,7 @@ from ancfdae.equations.plans import Plan
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.equations.system import called_plan, planned
 from ancfdae.integrators.radau.stages import TABLEAU
-from ancfdae.numerics.coupled import coupled_arrays
+from ancfdae.numerics.linear_solvers import coupled_arrays
 from tests.support.mechanisms import CartesianPendulum, GuidedDoublePendulum
 from tests.support.nets import net
 from validation.scenes import pendulum
@@ -65,7 +65,7 @@ def spoiled(x, at, rng):
 
 
 def drivers(system, plan, dtype):
-    """Return good arguments of march, rest and solve_stages."""
+    """Return good arguments of march, rest and march_stages."""
     n, m = system.n_q, system.n_lam
     t = 1e-3 * np.arange(STEPS + 1)
     joints = np.ones((1, 1)) if plan.joint_factors is None else plan.joint_factors(t, 1)[0]
@@ -78,12 +78,22 @@ def drivers(system, plan, dtype):
     state, given = (q.copy(), lam.copy(), q.copy(), lam.copy()), (q, q, z, lam)
     rules = np.array([0.5, 1.0, 1, 1, 1, 1, 1e-12, 100, 4, 3, 1e-13])
     coupled = coupled_matrix(system)
-    x, lams = np.zeros((3, n), dtype), np.zeros((3, m), dtype)
-    numbers = np.ones(21), np.array([1e-3, 1e-12, 3, 1e-300, 4, 10, 100, 0.5, 1e-6, 1e4])
+    numbers = TABLEAU, np.array([1e-3, 1e-12, 3, 1e-300, 4, 10, 100, 0.5, 1e-6, 1e4])
+    before = tuple(x[None] for x in (q, z, z, lam))
+    stages = np.zeros(3 * STEPS), *(np.zeros((3 * STEPS, k), dtype) for k in (n, n, n, m))
+    of_steps = np.zeros(STEPS), np.zeros((STEPS, kernels.FILTER))
+    control = np.zeros(0), np.zeros(0), np.full(STEPS, 1e-3), t[1:].copy()
+    least = np.full(n, 1e-3)
+    tolerance = 1e-3, least, 1e-3, least, np.zeros(n), least, 1
+    at = np.tile(joints[:1], (12, 1)), np.tile(loads[:1], (4, 1)), 0.0
+    laws = (lambda *_: at), 0.0
     return {
         "march": (*march, (1e-12, 0.5, 3)),
         "rest": (state, given, (joints[0], loads[0], loads[0]), rules),
-        "solve_stages": (coupled, (q, z, z, lam), x, lams, joints, loads, numbers),
+        "march_stages": (
+            *(coupled, before, (0, 0.0, 1e-3), control, tolerance, laws, lambda h, end: 0.0),
+            *(stages, of_steps, numbers, 1.0),
+        ),
     }
 
 

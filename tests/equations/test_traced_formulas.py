@@ -29,10 +29,9 @@ from ancfdae.equations.system import StateDirection, called_plan
 from ancfdae.errors import InvalidInputError, NotTracedWarning, StabilityWarning
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.extend import FormulaSystem, SystemProperties, positive
-from ancfdae.integrators.problem import Accelerations, ListedAccelerations, accelerations
+from ancfdae.integrators.problem import Accelerations, CompiledAccelerations, accelerations
 from ancfdae.kernels import (
     RULES,
-    STAGES_SOLVED,
     ExplicitRun,
     ListAccelerations,
     Model,
@@ -629,7 +628,7 @@ def test_accelerations_of_lists_are_those_of_the_protocol(with_derivatives):
     system, rng = Elbow(), np.random.default_rng(3)
     matrices = saddle_point(system, 0.0)
     ours = accelerations(system, matrices)
-    assert isinstance(ours, ListedAccelerations)
+    assert isinstance(ours, CompiledAccelerations)
     states = rng.uniform(0.5, 1.5, (5, 2, 1 + 10 * with_derivatives, 4))
     t = rng.uniform(0, 1, 5)
     exact = Accelerations(system, matrices)
@@ -775,9 +774,9 @@ def counting(taken):
             taken.append(found[0])
             return found
 
-        def solve_stages(self, *x):
-            found = self.model.solve_stages(*x)
-            taken.append(int(found[0] == STAGES_SOLVED))
+        def march_stages(self, *x):
+            found = self.model.march_stages(*x)
+            taken.append(found[0])
             return found
 
     return Counted

@@ -20,11 +20,16 @@ from ancfdae import (
     Sphere,
     assemble,
 )
+from ancfdae.integrators.hht import method
+from ancfdae.integrators.hht.equations import Coefficients
 from ancfdae.integrators.hht.step import HHTStepper
+from ancfdae.integrators.prescribed_motion import turn_error
+from ancfdae.integrators.step_control.contracts import Failure
 from ancfdae.laws import ConstantAcceleration, Harmonic, SmoothStep
 from ancfdae.results import Verdict
 from ancfdae.sections import Rectangle
 from tests.support.mechanisms import CartesianPendulum
+from tests.support.one_by_one import OneByOne
 
 
 def soft_pendulum():
@@ -67,13 +72,34 @@ def called_pendulum():
 SYSTEMS = [soft_pendulum, driven_crank, kicked_pendulum, called_pendulum]
 
 
+class Alone(HHTStepper, OneByOne):
+    """HHT-I3 by `Model.march` for each step, and by the error that `step.py` states."""
+
+    controlled = OneByOne.controlled
+
+    def __init__(self, problem, alpha, newton, tolerance, recorder):
+        super().__init__(problem, alpha, newton, tolerance, recorder)
+        self.given, self.alpha, self.recorder = (problem, tolerance), alpha, recorder
+
+    def advance(self, h, before, t):
+        node = self._solver.advance((Coefficients(h, self.alpha), before[0], t))
+        return node if isinstance(node, Failure) else (node, None)
+
+    def error(self, h, before, after):
+        (old, _), (new, _), (problem, tolerance) = before, after, self.given
+        size = np.maximum(problem.size(old.q), problem.size(new.q))
+        rise = -(1 + 3 * self.alpha**2) / 12 * h**2 * (new.a - old.a)
+        turn = turn_error(self.system, new.t, h, 2)
+        return max(turn, tolerance.of_motion(h, rise, size))
+
+
 @pytest.mark.parametrize("rtol", [1e-2, 1e-4])
 @pytest.mark.parametrize("made", SYSTEMS)
-def test_the_kernel_takes_the_steps_of_the_loop_in_python(made, rtol, monkeypatch):
+def test_the_kernel_takes_the_steps_of_a_loop_in_python(made, rtol, monkeypatch):
     system, t_end = made()
     integrator = HHT(AdaptiveSteps(rtol), hht_alpha=-0.05)
     together = integrator.integrate(system, t_end)
-    monkeypatch.setattr(HHTStepper, "controlled", lambda *_: None)
+    monkeypatch.setattr(method, "HHTStepper", Alone)
     alone = integrator.integrate(system, t_end)
     assert together.outcome.success
     counts = [

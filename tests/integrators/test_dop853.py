@@ -309,9 +309,9 @@ def test_states_move_to_the_nearest_on_constant_constraints():
     first, b = problem.initial, problem.derivative
     rows = stacked(first.q, first.v, b.q_b, b.v_b)
     rows = rows + np.random.default_rng(1).uniform(-1e-2, 1e-2, rows.shape)
-    # By the factors, then by the inverse that is formed where they are met again.
-    for _ in range(2):
-        moved = problem.accelerations.projected(0.0, rows)
+    # In the kernel, and in Python.
+    for solver in (problem.accelerations, Accelerations(system, problem.matrices)):
+        moved = solver.projected(0.0, rows)
         B, Phi_q = system.constraint_pattern, system.constraint_q(0.0, first.q)
         assert np.max(np.abs(system.constraint(0.0, moved[0, 0]))) < 1e-15
         assert np.max(np.abs(B.dot(Phi_q, moved.reshape(6, -1)[1:].T))) < 1e-15

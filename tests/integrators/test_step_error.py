@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ancfdae import HHT, Radau
 from ancfdae.equations.saddle_points import saddle_point
-from ancfdae.integrators.hht.equations import Coefficients, Node, NodeSensitivity
+from ancfdae.integrators.hht.equations import Coefficients
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import HHTStepper
 from ancfdae.integrators.problem import InitialValueProblem, Scales
+from ancfdae.integrators.radau.step import RadauStepper
 from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.start import consistent_start
 from ancfdae.integrators.step_control import AdaptiveSteps
@@ -48,14 +50,10 @@ def expected_error(j, alpha):
 
 @pytest.mark.parametrize("alone", [0, 2])
 def test_error_of_a_step_is_the_formula_of_its_module(alone):
-    alpha, zero, none = -0.3, np.zeros(2), np.zeros((2, 3))
-    chosen = np.arange(3) == alone
-    node = Node(0.0, zero, zero, zero, np.zeros(1), zero)
-    # A_b, which differs from a_b, has no part in it, nor has the variable without a size.
-    before = NodeSensitivity(9 * VALUES, none, none, none, none)
+    alpha, chosen = -0.3, np.arange(3) == alone
+    # The variable without a size has no part in it.
     increments = np.where(chosen | (SIZES_B == 0), INCREMENTS, 0.0)
-    after = NodeSensitivity(VALUES, none, increments, none, 7 * INCREMENTS)
-    error = stepper(alpha=alpha).error(H, (node, before), (node, after))
+    error = stepper(alpha=alpha)._error_of_derivatives(H, VALUES, increments)
     assert error == pytest.approx(expected_error(alone, alpha), rel=1e-14)
 
 
@@ -80,18 +78,16 @@ def test_error_at_the_start_follows_from_the_third_derivative():
     assert tried == pytest.approx(min(np.sqrt(0.25 / expected), T_END / 20), rel=1e-12)
 
 
-def test_the_larger_error_counts_whether_of_motion_or_derivatives():
-    zero, none = np.zeros(2), np.zeros((2, 3))
-    start = Node(0.0, zero, zero, zero, np.zeros(1), zero)
-    moved = Node(H, zero, zero, np.ones(2), np.zeros(1), zero)
-    method, before = stepper(), NodeSensitivity(none, none, none, none, none)
-    motion = method.error(H, (start, None), (moved, None))
-    assert motion > 0
-    for factor in (1e-9, 1e9):
-        after = NodeSensitivity(none, none, factor * np.ones((2, 3)), none, none)
-        derivatives = method.error(H, (start, before), (start, after))
-        both = method.error(H, (start, before), (moved, after))
-        assert both == max(motion, derivatives)
+@pytest.mark.parametrize(("kind", "stepper"), [(HHT, HHTStepper), (Radau, RadauStepper)])
+def test_the_larger_error_counts_whether_of_motion_or_derivatives(kind, stepper, monkeypatch):
+    system, told = CartesianPendulum(0.3, 1.0), [0.0]
+    monkeypatch.setattr(stepper, "_error_of_derivatives", lambda *_: told[0])
+    steps = AdaptiveSteps(1e-3, sensitivities=True)
+    alone = kind(AdaptiveSteps(1e-3)).integrate(system, 1.0)
+    for told[0], accepted in ((1e-9, True), (1.5, False), (np.nan, False)):
+        both = kind(steps).integrate(system, 1.0)
+        assert both.outcome.success is accepted
+        np.testing.assert_array_equal(both.t, alone.t if accepted else [0.0])
 
 
 def test_sizes_of_derivatives():

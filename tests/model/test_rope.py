@@ -451,6 +451,23 @@ def test_a_run_ends_in_words_where_an_end_of_a_slack_rope_flies_into_its_pulley(
     assert run.t[-1] < 1 - np.sqrt(0.1**2 - 0.01**2)
 
 
+@pytest.mark.parametrize("integrator", [HHT(rtol=1e-3), Radau(rtol=1e-3)], ids=repr)
+@pytest.mark.parametrize("speed", [1.0, 500.0])
+def test_controlled_steps_are_shortened_until_an_end_of_a_rope_enters_its_pulley(integrator, speed):
+    """The slack end at 1 m flies past the centre at 0.01 m: it enters the circle of 0.1 m there.
+
+    The first step, a twentieth of the run, would pass the pulley.
+    """
+    load, pulley = body("load", (1.0, 0.01), 1.0), Pulley((0.0, 0.0), 0.1, clockwise=True)
+    rope = Rope((-1.0, -0.2), load.origin, [pulley], stiffness=1e3, length=5.0, name="rope")
+    flight = [InitialVelocity("load", 0.0, about=(0.0, 0.0), velocity=(-speed, 0.0))]
+    scene = Scene([], [], loads=[rope], bodies=[load], start=flight)
+    run = simulate(scene, 40.0 / speed, integrator)
+    assert run.outcome.verdict is Verdict.OFF_ROUTE
+    assert "takes pulley_0 and end of load 'rope' so near to each other" in str(run.outcome)
+    assert run.t[-1] * speed == pytest.approx(1 - np.sqrt(0.1**2 - 0.01**2), rel=1e-6)
+
+
 @pytest.mark.parametrize(("rise", "enters"), [(0.15, False), (0.25, True)])
 @pytest.mark.parametrize("integrator", [HHT, Radau])
 def test_a_place_that_enters_a_pulley_and_returns_within_a_step_is_seen(integrator, rise, enters):

@@ -33,7 +33,6 @@ from typing import ClassVar, NamedTuple, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.plans import CalledPlan, ListPlan
 from ancfdae.equations.saddle_points import Prepared
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import Verdict
@@ -56,8 +55,9 @@ from ancfdae.integrators.prescribed_motion import turn_error
 from ancfdae.integrators.problem import InitialValueProblem, vector_sizes
 from ancfdae.integrators.recorder import SolutionRecorder, StateRows
 from ancfdae.integrators.step_control.contracts import (
+    VERDICTS,
     Batch,
-    Controller,
+    ErrorController,
     Failure,
     OneStepMethod,
     Reached,
@@ -84,13 +84,6 @@ _JUMP = 100.0
 _CLOSE = 0.5
 # Seconds after which the kernel returns, so that interrupts and the progress bar are served.
 _NEWTON_PATIENCE = 0.1
-
-_VERDICTS = {
-    March.NOT_FINITE: Verdict.NOT_FINITE,
-    March.SINGULAR: Verdict.SINGULAR,
-    March.NO_CONVERGENCE: Verdict.NO_CONVERGENCE,
-    March.INACCURATE: Verdict.ERROR_TEST,
-}
 
 # Coefficients, the node before the step, and the time at its end.
 Step: TypeAlias = tuple[Coefficients, Node, float]
@@ -122,19 +115,6 @@ class _End(NamedTuple):
     rate: float
 
 
-class ControlledSteps(NamedTuple):
-    """Steps under error control: end times, filter and node after each, why they end.
-
-    `size` is the size of the last correction.
-    """
-
-    ends: Array
-    filters: Array
-    node: Callable[[int], Node]
-    why: March
-    size: float
-
-
 @final
 class StepSolver:
     """Newton's method for steps of HHT-I3, whose iterations the recorder counts."""
@@ -153,8 +133,7 @@ class StepSolver:
         rates = _SLOW, _NEAR, _AHEAD, _SMOOTH, _ROUND_OFF, _JUMP, QUIET
         rules = np.array([alpha, *newton, blur, *rates, *PLACES, *WEIGHTS])
         self._kernel = Prepared(system, matrices, rules, recorder.dtype)
-        # Whether steps are taken one by one, because a Python function may raise in any of them.
-        self.alone = isinstance(self._kernel.plan, CalledPlan)
+        self.alone, self.timed = self._kernel.alone, self._kernel.timed
         self._sizes = system.n_q, system.n_q, system.n_q, system.n_lam
         self._recorder, self._small = recorder, False
 
@@ -192,41 +171,51 @@ class StepSolver:
 
     def controlled(
         self,
-        begin: tuple[Node, int, float],
-        control: tuple[Array, Array],
+        begin: Reached,
+        controller: ErrorController,
         tolerance: tuple[float, Array, Array, int],
         laws: Callable[[float, float, float], tuple[Array, Array, float]] | None,
         most: int,
-    ) -> ControlledSteps:
+        along: Callable[[Node, float], float] | None = None,
+    ) -> Batch:
         """Take up to `most` steps under error control in one call of the kernel.
 
         Parameters
         ----------
-        begin : tuple
-            Node before the steps, its index, and the size of the step that led to it, s.
-        control : tuple
-            `numbers` and `stops` of the `Controller`; the kernel changes the numbers.
+        begin : Reached
+            Progress of the run, with a `Node`.
+        controller : ErrorController
+            The kernel changes its numbers.
         tolerance : tuple
             rtol, atol Q_i of the coordinates, place of the system, and length of its vectors.
         laws : Callable, optional
             Returns the factors of joints and loads of a step and the error of its turn, from the
             start, end and size of the step, s.
         most : int
-            Largest number of steps.
+            Largest number of steps; one with `along`.
+        along : Callable, optional
+            Returns an error e that belongs to the step too, from the node after it and its size, s.
         """
-        recorder, plan, (node, n, last) = self._recorder, self._kernel.plan, begin
-        rows, numbers = recorder.room(most), self._sizes[0]
+        recorder, node, numbers = self._recorder, begin.now, self._sizes[0]
+        q, v, A, lam = rows = recorder.room(most)
         a, ends, motions = np.empty((most, numbers), recorder.dtype), np.empty(most), np.empty(most)
         filters, limits = np.empty((most, FILTER)), (self._tolerance, self.max_iterations)
-        start = plan.start if isinstance(plan, ListPlan) else 0.0
+
+        def after(k: int, end: float) -> Node:
+            of_q, of_v, of_a, of_lam, of_A = (x[k - 1].copy() for x in (q, v, a, lam, A))
+            return Node(end, of_q, of_v, of_a, of_lam, of_A, float(motions[k - 1]))
+
         taken, why, rejected, counts, size = self._kernel.model.march_controlled(
             (node.q, node.v, node.a, node.lam, node.A),
-            (node.motion, n, node.t, last),
-            *control,
+            (begin.n, begin.t, begin.last),
+            node.motion,
+            (controller.numbers, controller.stops),
             tolerance,
-            (laws, start),
+            (laws, self._kernel.start),
+            None if along is None else lambda h, end: along(after(1, end), h),
             rows,
-            (a, ends, motions, filters),
+            (ends, filters),
+            (a, motions),
             (*limits, _NEWTON_PATIENCE),
         )
         recorder.rejected += rejected
@@ -236,15 +225,9 @@ class StepSolver:
         recorder.round_off_steps += counts[2]
         if not taken and why in (March.NEEDS_GAUSS, March.INDEFINITE):
             self._add(why)
-            return self.controlled(begin, control, tolerance, laws, most)
-        q, v, A, lam = rows
-
-        def node_at(k: int) -> Node:
-            of_q, of_v, of_a, of_lam, of_A = (x[k - 1].copy() for x in (q, v, a, lam, A))
-            motion = float(motions[k - 1])
-            return Node(float(ends[k - 1]), of_q, of_v, of_a, of_lam, of_A, motion)
-
-        return ControlledSteps(ends[:taken], filters, node_at, March(why), size)
+            return self.controlled(begin, controller, tolerance, laws, most, along)
+        t = ends[:taken]
+        return Batch(t, t, filters, lambda k: after(k, float(ends[k - 1])), March(why), size)
 
     def _solved(self, step: Step, attempt: _Attempt) -> SolvedStep | Failure:
         """Return the solution of one step, or why it was not solved."""
@@ -253,7 +236,7 @@ class StepSolver:
         end = self._taken(before, np.array([c.h]), np.array([t]), (q, v, A, lam), attempt)
         if end.taken:
             return SolvedStep(end.node, end.round_off, end.rate)
-        return Failure(_VERDICTS.get(end.why, Verdict.NO_CONVERGENCE), end.size)
+        return Failure(VERDICTS.get(end.why, Verdict.NO_CONVERGENCE), end.size)
 
     def _taken(
         self, before: Node, h: Array, ends: Array, rows: StateRows, attempt: _Attempt
@@ -285,18 +268,6 @@ class StepSolver:
             self._small = True
         else:
             self._kernel.add_band()
-
-    @property
-    def timed(self) -> bool:
-        """Whether joints or loads of a scene depend on time."""
-        plan = self._kernel.plan
-        driven = plan.joint_factors is not None or plan.load_factors(np.zeros(1)).size > 0
-        return driven and not self.own
-
-    @property
-    def own(self) -> bool:
-        """Whether the system is a user's own; it gets times instead of factors of laws."""
-        return isinstance(self._kernel.plan, CalledPlan | ListPlan)
 
     def laws(self, t: float, end: float, h: float) -> tuple[Array, Array]:
         """Return factors of joints and loads at end, start and Gauss points of a step from t."""
@@ -472,67 +443,61 @@ class HHTStepper(OneStepMethod[State]):
 
     def advance(self, h: float, before: State, t: float) -> State | Failure:
         """Return the state at t = t_n + h, or a Failure if Newton's method does not converge."""
-        (last, node_b), c = before, self._coefficients
+        (last, _), c = before, self._coefficients
         if c.h != h:
             c = self._coefficients = Coefficients(h, self._alpha)
         system, step = self._problem.system, (c, last, t)
         node = self._solver.advance(step)
-        # Under error control a smaller step is the better remedy.
-        hard = isinstance(node, Failure) and node.verdict is not Verdict.SINGULAR
-        if isinstance(node, Failure) and hard and self._tolerance is None:
+        if isinstance(node, Failure) and node.verdict is not Verdict.SINGULAR:
             node = solved(self._solver, system, step, node)
             self._recorder.continued += isinstance(node, Node)
-        if isinstance(node, Failure):
-            return node
-        if node_b is not None:
-            self._recorder.factorisations += 1
-            row = ConstraintRow.of(system, c, last, node)
-            node_b = linear_passes.advance(self._problem, self._passes, c, node_b, node, row)
-            if node_b is None:
-                return Failure(Verdict.SINGULAR, 0.0)
-        return node, node_b
+        return node if isinstance(node, Failure) else (node, None)
 
     def march(self, before: State, sizes: Array, ends: Array) -> tuple[int, State]:
-        """Take steps of given sizes in one call of the kernel; none with derivatives."""
-        node, node_b = before
-        if self._solver.alone or node_b is not None or len(sizes) == 1:
+        """Take steps of given sizes in one call of the kernel."""
+        if self._solver.alone or len(sizes) == 1:
             return 0, before
         rows = self._recorder.room(len(sizes))
-        taken, node = self._solver.march(node, sizes, ends, rows)
+        taken, node = self._solver.march(before[0], sizes, ends, rows)
         self._recorder.take(ends[:taken])
         return taken, (node, None)
 
-    def controlled(
-        self, begin: Reached, controller: Controller, recorder: SolutionRecorder, most: int
-    ) -> Batch | None:
-        """Take steps in one call of the kernel; None without tolerance or with derivatives."""
-        node, node_b = begin.now
-        if self._tolerance is None or node_b is not None:
-            return None
-        scales, tolerance, solver = self._problem.scales, self._tolerance, self._solver
-        least, d = tolerance.atol * tolerance.sizes, self.system.vector_size
-        found = solver.controlled(
-            (node, begin.n, begin.last),
-            (controller.numbers, controller.stops),
-            (tolerance.rtol, least, scales.place, d),
-            self._laws if self._timed else None,
-            1 if solver.alone else most,
-        )
-        why, again = None, None
-        if found.why in _VERDICTS:
-            size = 0.0 if found.why == March.INACCURATE else found.size
-            why = Failure(_VERDICTS[found.why], size)
-        elif found.why == March.BEGIN_ANEW:
-            again = 0
-        elif found.why == March.STEP_BEFORE:
-            again = begin.n - 1
-        return Batch(found.ends, found.filters, lambda k: (found.node(k), None), again, why)
+    def controlled(self, begin: Reached, controller: ErrorController, most: int) -> Batch:
+        """Take steps in one call of the kernel, one by one with derivatives."""
+        assert self._tolerance is not None
+        (node, node_b), scales, tolerance = begin.now, self._problem.scales, self._tolerance
+        bounds = tolerance.rtol, tolerance.atol * tolerance.sizes, scales.place
+        motion, solver = begin._replace(now=node), self._solver
+        given = motion, controller, (*bounds, self.system.vector_size)
+        laws, after_b = self._laws if solver.timed else None, node_b
+        if node_b is None:
+            found = solver.controlled(*given, laws, 1 if solver.alone else most)
+            return found._replace(states=lambda k: (found.states(k), None))
 
-    @cached_property
-    def _timed(self) -> bool:
-        """Whether joints or loads depend on time, or a user's system prescribes a turn."""
-        turns = type(self.system).turn_rate is not MechanicalSystem.turn_rate
-        return self._solver.timed or (turns and self._solver.own)
+        def along(after: Node, h: float) -> float:
+            nonlocal after_b
+            last, last_b = self.resized(begin.now, h / begin.last)
+            assert last_b is not None
+            after_b = self._differentiated(h, last, last_b, after)
+            return self._error_of_derivatives(h, after_b.q_b, after_b.a_b - last_b.a_b)
+
+        found = solver.controlled(*given, laws, 1, along)
+        if len(found.ends):
+            *_, derivatives = self.recorded((found.states(1), after_b))
+            self._recorder.beside(tuple(x[None] for x in derivatives))
+        return found._replace(states=lambda k: (found.states(k), after_b))
+
+    def _differentiated(
+        self, h: float, last: Node, last_b: NodeSensitivity, after: Node
+    ) -> NodeSensitivity:
+        """Return the derivatives of the node after a step; raises SingularMatrix."""
+        self._recorder.factorisations += 1
+        c = Coefficients(h, self._alpha)
+        row = ConstraintRow.of(self.system, c, last, after)
+        after_b = linear_passes.advance(self._problem, self._passes, c, last_b, after, row)
+        if after_b is None:
+            raise SingularMatrix("a matrix of the derivatives is singular")
+        return after_b
 
     def _laws(self, t: float, end: float, h: float) -> tuple[Array, Array, float]:
         """Return factors of joints and loads of a step from t, and the error e of its turn."""
@@ -543,50 +508,29 @@ class HHTStepper(OneStepMethod[State]):
         x, b = state
         return x.t, x.q, x.v, x.A, x.lam, () if b is None else (b.q_b, b.v_b, b.A_b, b.lam_b)
 
-    def error(self, h: float, before: State, after: State) -> float:
-        """Return the error e of a step relative to the tolerance; zero without a tolerance."""
-        if self._tolerance is None:
-            return 0.0
-        (old, old_b), (new, new_b) = before, after
-        size = np.maximum(self._problem.size(old.q), self._problem.size(new.q))
-        turn, rise = turn_error(self.system, new.t, h, self.order), (new.a - old.a).real
-        if old_b is None or new_b is None:
-            return float(np.maximum(turn, self._error(h, rise, size)))
-        size_b = vector_sizes(new_b.q_b.T, self.system.vector_size).T
-        error = self._error(h, rise, size, new_b.a_b - old_b.a_b, size_b)
-        return float(np.maximum(turn, error))
-
     def start_error(self) -> float:
         """Return e of a first step of size 1 s, from the third derivative at the start.
 
         Zero if the matrices there are not finite, which the first step reports.
         """
+        if self._tolerance is None:
+            return 0.0
         derivative, still = self._problem.derivative, Coefficients(0.0, self._alpha)
         try:
             start = RecurrenceStart.of(self._problem, still)
         except SingularMatrix:
             return 0.0
-        motion = start.jerks[0].jerk.real, self._problem.size(self._problem.initial.q)
+        scale, jerk = constraint_error(Coefficients(1.0, self._alpha)), start.jerks[0].jerk
+        size = self._problem.size(self._problem.initial.q)
+        error = self._tolerance.of_motion(1.0, scale * jerk.real, size)
         if derivative is None:
-            return self._error(1.0, *motion)
-        jerk_b = start.jerk_total(start.jerks[0], derivative, derivative.a_b)
-        size_b = vector_sizes(derivative.q_b.T, self.system.vector_size).T
-        return self._error(1.0, *motion, jerk_b, size_b)
-
-    def _error(
-        self,
-        h: float,
-        increment: Array,
-        size: Array,
-        increment_b: Array | None = None,
-        size_b: Array | None = None,
-    ) -> float:
-        """Return the larger e of motion and derivatives; NaN, which no step passes, if one is."""
-        if self._tolerance is None:
-            return 0.0
-        scale = constraint_error(Coefficients(h, self._alpha))
-        error = self._tolerance.of_motion(h, scale * increment, size)
-        if increment_b is None or size_b is None:
             return error
-        error_b = self._tolerance.of_derivatives(h, scale * increment_b, size_b)
-        return float(np.maximum(error, error_b))
+        jerk_b = start.jerk_total(start.jerks[0], derivative, derivative.a_b)
+        return float(np.maximum(error, self._error_of_derivatives(1.0, derivative.q_b, jerk_b)))
+
+    def _error_of_derivatives(self, h: float, q_b: Array, rise_b: Array) -> float:
+        """Return the largest e of derivatives q_b in a step of size h in which a_b rises."""
+        assert self._tolerance is not None
+        size_b = vector_sizes(q_b.T, self.system.vector_size).T
+        scale = constraint_error(Coefficients(h, self._alpha))
+        return self._tolerance.of_derivatives(h, scale * rise_b, size_b)

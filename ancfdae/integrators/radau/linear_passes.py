@@ -35,7 +35,7 @@ from typing import NamedTuple, TypeAlias, final
 
 import numpy as np
 
-from ancfdae.equations import Linearisation, MechanicalSystem
+from ancfdae.equations import Linearisation, ListedSystem, MechanicalSystem
 from ancfdae.equations.saddle_points import Prepared
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.kinds import SingularMatrix
@@ -51,7 +51,7 @@ from ancfdae.integrators.radau.stages import (
     stage_matrices,
 )
 from ancfdae.integrators.start import Covectors, pull_back_start
-from ancfdae.kernels import RULES
+from ancfdae.kernels import RULES, March, Model
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import progress_bar
 
@@ -114,6 +114,26 @@ class StageKernel:
             lambda x, at: x.differentiate_stages(self._coupled, steps, known, *given, at), 0
         )
 
+    def embedded_errors(
+        self, h: float, t: float, state: tuple[Array, ...], rows: tuple[Array, Array, Array]
+    ) -> Array:
+        """Return errors dq and dv of derivatives in a step of size h, shape (2, n_b, n_q).
+
+        The state (q, v, a, lam) at t is the middle stage. Rows are v_b at the start and the stages,
+        a_b at the start, and x_b at the stages. Raises SingularMatrix.
+        """
+        plan, instant = self._prepared.plan, np.array([t])
+        joints = np.ones(1) if plan.joint_factors is None else plan.joint_factors(instant, 1)[0, 0]
+        errors, loads = np.empty((2, *rows[1].shape)), plan.load_factors(instant)[0]
+
+        def passed(model: Model, _: int) -> tuple[int, int]:
+            end = model.embedded_errors(h, state, (joints, loads), rows, errors, TABLEAU)
+            return int(end == March.ALL_TAKEN), end
+
+        if not self._prepared.go(passed, 0):
+            raise SingularMatrix("the matrix of the embedded formula is singular")
+        return errors
+
     def backward(self, steps: Packet, seeds: OnStates, on: Array, to: tuple[Array, ...]) -> None:
         """Take transposed steps back from the last; raises SingularMatrix."""
         left = self._prepared.go(
@@ -162,9 +182,10 @@ class Completion:
         held = system.design_partials(t, q, None, *self.moved).f_b
         sides = np.zeros((2, len(t), system.n_lam, system.n_b))
         if self.rates is not None:
-            for k, s in enumerate(t.tolist()):
-                sides[0, k] = system.constraint_total(s, (q[k], v[k]))
-                sides[1, k] = system.constraint_total(s, (q[k], v[k], a[k]))
+            sides[:] = (
+                _constraint_partials(system, t, q, v),
+                _constraint_partials(system, t, q, v, a),
+            )
         return held, system.design_partials(t, q, v, a, lam).f_b, sides
 
     def pull_back(self, m: Array, z: Array, w: Array, y: Array) -> Array:
@@ -175,11 +196,20 @@ class Completion:
         if w.any():
             total = total + system.pull_back(t, self.states, (w, none))
         if self.rates is not None:
-            for k, s in enumerate(t.tolist()):
-                total = total + z[k] @ system.constraint_total(s, (q[k], v[k]))
-                if y[k].any():
-                    total = total + y[k] @ system.constraint_total(s, (q[k], v[k], a[k]))
+            total = total + np.einsum("ki,kib", z, _constraint_partials(system, t, q, v))
+            some = y.any(axis=1)
+            at = t[some], q[some], v[some], a[some]
+            total = total + np.einsum("ki,kib", y[some], _constraint_partials(system, *at))
         return -total
+
+
+def _constraint_partials(system: MechanicalSystem, t: Array, *motion: Array) -> Array:
+    """Return design derivatives of a rate of Phi at k fixed states, shape (k, n_lam, n_b)."""
+    if isinstance(system, ListedSystem):
+        return system.constraint_partials(t, *motion)
+    states = zip(t.tolist(), zip(*motion, strict=True), strict=True)
+    rows = [system.constraint_total(s, state) for s, state in states]
+    return np.reshape(rows, (len(t), system.n_lam, system.n_b))
 
 
 @final

@@ -17,8 +17,8 @@ from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.integrator import PartwiseIntegrator, RunInParts, Seeds, with_contacts
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.radau import linear_passes
-from ancfdae.integrators.radau.stages import PLACES
-from ancfdae.integrators.radau.step import RadauStepper, State
+from ancfdae.integrators.radau.stages import PLACES, State
+from ancfdae.integrators.radau.step import RadauStepper
 from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control import StepControl
 from ancfdae.integrators.step_control.contracts import Reached, march

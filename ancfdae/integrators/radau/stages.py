@@ -1,6 +1,6 @@
-"""The three stages of a step of Radau IIA: coefficients, equations, Newton's method.
+"""Steps of Radau IIA: coefficients, equations of the stages, and the solver in the kernel.
 
-Coefficients are those of Hairer & Wanner, Solving ODEs II, IV.5 and IV.8. With h^2 x the
+Coefficients: Hairer & Wanner, Solving ODEs II, IV.5 and IV.8. With h^2 x the
 displacements of the stages from the motion at constant velocity,
 
     Q = q_0 + h c v_0 + h^2 x,     V = v_0 + h A^-1 x,     Q'' = A^-2 x,
@@ -12,31 +12,30 @@ the equations of a step are those of motion and the constraints at every stage,
 **Matrix.** With the matrices of every stage at its own state block (i, j) of K is (A^-2)_ij M_i + h
 (A^-1)_ij f_v,i, plus h^2 f_q,i for i = j.
 
-Newton's method runs in `kernels/stages.h`.
+**Completion.** The stages satisfy the constraints of positions. The violation of constraints by
+their velocities, O(h^3), is removed, and accelerations and multipliers follow (`linear_passes`); so
+a step continues from q and v.
+
+**Steps that Newton's method does not solve** are solved by way of shorter steps from the same
+start, unless their error is controlled: a smaller step is the better remedy then.
+
+Steps run in `kernels/stages.h`.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple, final
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
 
-from ancfdae.equations import Linearisation, MechanicalSystem
 from ancfdae.equations.saddle_points import Prepared
-from ancfdae.errors.kinds import SingularMatrix
-from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.recorder import SolutionRecorder
-from ancfdae.integrators.step_control.contracts import Failure
-from ancfdae.kernels import (
-    RULES,
-    STAGES_NOT_FINITE,
-    STAGES_SINGULAR,
-    STAGES_SOLVED,
-    CoupledMatrix,
-)
+from ancfdae.integrators.step_control.contracts import Batch, Reached
+from ancfdae.kernels import FILTER, RULES, CoupledMatrix, March
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.coupled import coupled_arrays
+from ancfdae.numerics.linear_solvers import coupled_arrays
 
 _ROOT = np.sqrt(6.0)
 
@@ -53,31 +52,14 @@ PLACES = np.array([[(4 - _ROOT) / 10], [(4 + _ROOT) / 10], [1.0]])
 #: A^-1 and A^-2.
 INVERSE = np.linalg.inv(BUTCHER)
 SQUARED = INVERSE @ INVERSE
-#: c, A^-1 and A^-2 in the layout of `StageTableau` of the kernel.
-TABLEAU = np.concatenate([x.ravel() for x in (PLACES, INVERSE, SQUARED)])
 #: Weights e, a row, of the embedded formula: err = (gamma/h - J)^-1 (f_0 + sum e_i (Y_i - y_0)/h).
 EMBEDDED = np.array([[-13 - 7 * _ROOT, -13 + 7 * _ROOT, -1]]) / 3
-
-
 #: The real eigenvalue of A^-1.
 GAMMA = float(min(np.linalg.eigvals(INVERSE), key=lambda x: abs(x.imag)).real)
-
-
-def at_stages(matrix: Array, x: Array) -> Array:
-    """Return sums over j of matrix_ij x_j for arrays over the three stages, (3, ...)."""
-    return np.asarray((matrix @ x.reshape(3, -1)).reshape(-1, *x.shape[1:]))
-
-
-def continued(rows: Array, ahead: Array) -> Array:
-    """Extrapolate rows at start and stages of a step, (4, n), by a cubic to times `ahead`.
-
-    `ahead` is a column; its unit is the step size.
-    """
-    places, shares = np.append(0.0, PLACES), []
-    for k, place in enumerate(places):
-        others = np.delete(places, k)
-        shares.append(np.prod((ahead - others) / (place - others), axis=1))
-    return np.asarray(np.transpose(shares) @ rows)
+#: All coefficients in the layout of `StageTableau` of the kernel.
+TABLEAU = np.append(
+    np.concatenate([x.ravel() for x in (PLACES, INVERSE, SQUARED, BUTCHER, EMBEDDED)]), GAMMA
+)
 
 
 class Stages(NamedTuple):
@@ -89,38 +71,15 @@ class Stages(NamedTuple):
     lam: Array
 
 
-class Begin(NamedTuple):
-    """The start of a step: its size h, s, the time, and the state."""
+class State(NamedTuple):
+    """State after a step: its size h, s, and start, stages and end as rows (t, q, v, a, lam).
+
+    The start of a run is one row. Derivatives q_b, v_b, a_b, lam_b have the same rows.
+    """
 
     h: float
-    t: float
-    q: Array
-    v: Array
-    a: Array
-    lam: Array
-
-    @property
-    def state(self) -> tuple[Array, Array, Array, Array]:
-        """Coordinates, velocities, accelerations and multipliers at the start of the step."""
-        return self[2:]
-
-    @property
-    def times(self) -> Array:
-        """Times of the three stages, shape (3,); s."""
-        return self.t + self.h * PLACES[:, 0]
-
-    def stages(self, x: Array, lam: Array) -> Stages:
-        """Return the stages from scaled displacements x and multipliers."""
-        h = self.h
-        q = self.q + h * PLACES * self.v + h**2 * x
-        return Stages(q, self.v + h * at_stages(INVERSE, x), at_stages(SQUARED, x), lam)
-
-
-def linearised(system: MechanicalSystem, t: Array, *states: Array) -> Linearisation:
-    """Return the linearisation of a system at the real parts of k states."""
-    local = system.linearise(t, *map(np.real, states))
-    f_v = None if local.f_v is None else local.f_v.real
-    return Linearisation(local.M.real, local.f_q.real, f_v, local.Phi_q.real)
+    rows: tuple[Array, ...]
+    derivatives: tuple[Array, ...] = ()
 
 
 def stage_matrices(problem: InitialValueProblem) -> CoupledMatrix:
@@ -150,16 +109,66 @@ _ROUND_OFF, _POSITIONS = 1e-6, 1e4
 _TINY = float(np.finfo(float).tiny)
 
 
-class SolvedStages(NamedTuple):
-    """Scaled displacements x and multipliers of the stages of a solved step."""
+Laws: TypeAlias = Callable[[float, float, float], tuple[Array, Array, float]]
 
-    x: Array
-    lam: Array
+
+def factors(prepared: Prepared, starts: Array, ends: Array, h: Array) -> tuple[Array, Array]:
+    """Return factors of joints and loads at the stages and at the start of k steps.
+
+    Factors of joints, with two time derivatives, have the shape (k, 12, n_parts), or (1, 1, 1) if
+    nothing is driven; factors of loads have the shape (k, 4, n_loads).
+    """
+    within = starts[:, None] + h[:, None] * PLACES[:2, 0]
+    t = np.column_stack([within, ends, starts]).ravel()
+    joints, of_loads = prepared.plan.joint_factors, prepared.plan.load_factors(t)
+    of_joints = np.ones((1, 1, 1))
+    if joints is not None:
+        of_joints = joints(t, 3).reshape(3, len(h), 4, -1).swapaxes(0, 1).reshape(len(h), 12, -1)
+    return of_joints, of_loads.reshape(len(h), 4, of_loads.shape[1])
+
+
+def laws_of(prepared: Prepared, turn: Callable[[float, float], float]) -> Laws:
+    """Return the laws of a system, with `turn(end, h)` as error of the rotation in a step."""
+
+    def laws(t: float, end: float, h: float) -> tuple[Array, Array, float]:
+        joints, loads = factors(prepared, np.array([t]), np.array([end]), np.array([h]))
+        return joints[0], loads[0], turn(end, h)
+
+    return laws
+
+
+def laws_of_known(prepared: Prepared, begin: float, sizes: Array, ends: Array) -> Laws:
+    """Return the laws of steps from `begin` (s) on, whose factors are evaluated together."""
+    starts, others = np.append(begin, ends[:-1]), laws_of(prepared, lambda end, h: 0.0)
+    joints, loads = factors(prepared, starts, ends, sizes)
+    steps = zip(starts.tolist(), ends.tolist(), strict=True)
+    at = {step: k for k, step in enumerate(steps)}
+
+    def laws(t: float, end: float, h: float) -> tuple[Array, Array, float]:
+        k = at.get((t, end))
+        if k is None:  # A shorter step.
+            return others(t, end, h)
+        return joints[min(k, len(joints) - 1)], loads[k], 0.0
+
+    return laws
+
+
+# Seconds after which the kernel returns, so that interrupts and the progress bar are served.
+_PATIENCE = 0.1
+
+
+class Control(NamedTuple):
+    """Control of steps: numbers of a filter and stops, or sizes and ends of known steps."""
+
+    numbers: Array
+    stops: Array
+    sizes: Array
+    ends: Array
 
 
 @final
 class StageSolver:
-    """Newton's method for the stages of steps, whose iterations the recorder counts."""
+    """Takes steps in the kernel, whose cost the recorder counts."""
 
     def __init__(
         self,
@@ -172,28 +181,80 @@ class StageSolver:
         least = max(10 * system.traits.force_round_off, _TINY)
         rules = tolerance, max_iterations, least, _MORE, _JUMP, _MOST, _SLOW, _ROUND_OFF
         self._rules, self._recorder = np.array([0.0, *rules, _POSITIONS]), recorder
-        self._kernel = Prepared(system, matrices, np.zeros(RULES), recorder.dtype)
+        self.prepared = Prepared(system, matrices, np.zeros(RULES), recorder.dtype)
         self._coupled = stage_matrices(problem)
 
-    def solve(self, begin: Begin, guess: tuple[Array, Array]) -> SolvedStages | Failure:
-        """Return the solution of a step from a guess of x and lam, or why it failed."""
-        plan, dtype = self._kernel.plan, self._kernel.dtype
-        x, lam = (np.array(each, dtype=dtype) for each in guess)
-        instants = np.append(begin.times, begin.t)
-        joints, still = plan.joint_factors, np.ones((1, 1))
-        factors = still if joints is None else joints(instants, 1)[0]
-        tables = factors, plan.load_factors(instants), (TABLEAU, self._rules)
-        self._rules[0] = begin.h
-        ends, size, (iterations, factorisations, stuck) = self._kernel.model.solve_stages(
-            self._coupled, begin.state, x, lam, *tables
+    def march(
+        self,
+        begin: Reached,
+        control: Control,
+        most: int,
+        tolerance: tuple[Any, ...] | None,
+        laws: Laws | None,
+        along: Callable[[float, float], float] | None = None,
+    ) -> tuple[Batch, float]:
+        """Take up to `most` steps, and write their stages to the next rows of the recorder.
+
+        Parameters
+        ----------
+        begin : Reached
+            Progress of the run, with a `State`.
+        control : Control
+            The kernel changes the numbers of the filter.
+        most : int
+            Largest number of steps; their number if they are known.
+        tolerance : tuple, optional
+            rtol and atol Q_i of positions, the same of velocities, place and scale of positions,
+            and length of the system's vectors.
+        laws : Laws, optional
+            Returns the factors of joints and loads of a step and the error of its rotation, from
+            the start, end and size of the step, s.
+        along : Callable, optional
+            Returns an error e that belongs to the step too, from its size and end, s.
+
+        Returns
+        -------
+        tuple of Batch and float
+            The steps, and e of the last one that was tried.
+        """
+        recorder, prepared, before = self._recorder, self.prepared, begin.now
+        rows, ends = recorder.room(3 * most), np.empty(most)
+        t, filters = np.empty(3 * most), np.empty((most, FILTER))
+        taken, end, rejected, continued, counts, size, error = prepared.model.march_stages(
+            self._coupled,
+            before.rows[1:],
+            (begin.n, begin.t, before.h),
+            control,
+            tolerance,
+            (laws, prepared.start),
+            along,
+            (t, *rows),
+            (ends, filters),
+            (TABLEAU, self._rules),
+            _PATIENCE,
         )
-        self._recorder.residuals += 3 * iterations
-        self._recorder.iterations += iterations
-        self._recorder.factorisations += factorisations
-        self._recorder.round_off_steps += stuck
-        if ends == STAGES_SINGULAR:
-            raise SingularMatrix("the matrix of the stages is singular")
-        if ends == STAGES_SOLVED:
-            return SolvedStages(x, lam)
-        why = Verdict.NOT_FINITE if ends == STAGES_NOT_FINITE else Verdict.NO_CONVERGENCE
-        return Failure(why, size)
+        recorder.rejected += rejected
+        recorder.continued += continued
+        recorder.iterations += counts[0]
+        recorder.residuals += 3 * counts[0]
+        recorder.factorisations += counts[1]
+        recorder.round_off_steps += counts[2]
+        if not taken and end == March.INDEFINITE:
+            prepared.add_band()
+            return self.march(begin, control, most, tolerance, laws, along)
+
+        def state(k: int) -> State:
+            """Return the state after the first k steps; copies, to keep no other rows."""
+            last = slice(3 * (k - 1), 3 * k)
+            starts = (
+                (x[-1:] for x in before.rows)
+                if k == 1
+                else (x[[last.start - 1]] for x in (t, *rows))
+            )
+            h = ends[k - 1] - (ends[k - 2] if k > 1 else begin.t)
+            h = float(control.sizes[k - 1] if len(control.sizes) else h)
+            both = zip(starts, (t, *rows), strict=True)
+            return State(h, tuple(np.concatenate([x, y[last]]) for x, y in both))
+
+        found = Batch(t[: 3 * taken], ends[:taken], filters, state, March(end), size)
+        return found, error

@@ -34,13 +34,14 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, final
 import numpy as np
 
 from ancfdae.equations import ErrorEstimates, MechanicalSystem, Sensitivities
-from ancfdae.equations.contact_record import ContactRecord
 from ancfdae.equations.solution import Solution
+from ancfdae.equations.solution_parts import ContactRecord
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import RunOutcome, Verdict
-from ancfdae.integrators.prescribed_motion import Watch, half_a_turn_off, lock
+from ancfdae.integrators.prescribed_motion import Lost, Watch, half_a_turn_off, lock
 from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.recorder import Rows, SolutionRecorder
+from ancfdae.kernels import March
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import progress_bar
 
@@ -178,12 +179,18 @@ State = TypeVar("State")
 Record = tuple[float | Array, Array, Array, Array, Array, tuple[Array, ...]]
 
 
-_NONE = np.zeros(0)
 _UNSEEN = "However short the steps are, they pass over the contact."
 # Most steps in a row that a controller may take back.
 BACK = 4
 # Reasons for the end of a run that locking joints may explain.
 _STUCK = (Verdict.NO_CONVERGENCE, Verdict.ERROR_TEST)
+#: Verdicts on steps that kernels do not solve.
+VERDICTS = {
+    March.NOT_FINITE: Verdict.NOT_FINITE,
+    March.SINGULAR: Verdict.SINGULAR,
+    March.NO_CONVERGENCE: Verdict.NO_CONVERGENCE,
+    March.INACCURATE: Verdict.ERROR_TEST,
+}
 
 
 class Failure(NamedTuple):
@@ -209,18 +216,35 @@ _TOGETHER = 64
 
 
 class Batch(NamedTuple):
-    """Steps under error control of one call: end times, and `Controller.numbers` after each.
+    """Steps under error control of one call of a kernel: times of all their states, end times.
 
-    `states` returns the state after its first k steps. If no further step helps, `why` is the
-    reason; otherwise the run continues, from the earlier step with index `again` if that is not
-    None.
+    `filters` are `Controller.numbers` after each step, and `states` returns the state after the
+    first k steps. `end` is the reason for the end of the call, and `size` the size of the
+    last correction.
     """
 
+    t: Array
     ends: Array
     filters: Array
     states: Callable[[int], Any]
-    again: int | None
-    why: Failure | None
+    end: March
+    size: float
+
+    def again(self, first: int) -> int | None:
+        """Return the index of the earlier step from which the run is to continue, if any.
+
+        `first` is the index of the first step of the call.
+        """
+        if self.end == March.BEGIN_ANEW:
+            return 0
+        return first - 1 if self.end == March.STEP_BEFORE else None
+
+    @property
+    def failure(self) -> Failure | None:
+        """The reason why no further step helps; None if the run continues."""
+        if self.end not in VERDICTS:
+            return None
+        return Failure(VERDICTS[self.end], 0.0 if self.end == March.INACCURATE else self.size)
 
 
 class OneStepMethod(abc.ABC, Generic[State]):
@@ -252,31 +276,25 @@ class OneStepMethod(abc.ABC, Generic[State]):
 
     @abc.abstractmethod
     def advance(self, h: float, before: State, t: float) -> State | Failure:
-        """Return the state at t, after a step of size h, s, or why it was not solved."""
+        """Return the state at t, after a known step of size h, s, or why it was not solved."""
 
     def march(self, before: State, sizes: Array, ends: Array) -> tuple[int, State]:
-        """Take and record as many of the given steps as one call can; by default none.
+        """Take and record as many of the known steps as one call can; by default none.
 
         Returns their number and the state after them.
         """
         return 0, before
 
-    def controlled(
-        self, begin: Reached, controller: Controller, recorder: SolutionRecorder, most: int
-    ) -> Batch | None:
-        """Take up to `most` steps under error control, and write them to the next rows.
+    @abc.abstractmethod
+    def controlled(self, begin: Reached, controller: ErrorController, most: int) -> Batch:
+        """Take up to `most` steps under error control, and write them to the recorder's next rows.
 
-        None if this method takes such steps one by one, the default.
+        A step is planned and judged by the controller's `numbers`.
         """
-        return None
 
     @abc.abstractmethod
     def recorded(self, state: State) -> Record:
-        """Return a state as a row of the solution."""
-
-    @abc.abstractmethod
-    def error(self, h: float, before: State, after: State) -> float:
-        """Return e of a step (`Tolerance`); zero without a tolerance."""
+        """Return a state as a row of the solution, or as several rows."""
 
     @abc.abstractmethod
     def start_error(self) -> float:
@@ -284,22 +302,30 @@ class OneStepMethod(abc.ABC, Generic[State]):
 
 
 class Controller(abc.ABC):
-    """Chooses the step sizes of a run, from the times and errors of its steps.
-
-    Kernels choose sizes by `numbers` (`StepFilter` in `kernels/control.h`), which they change, and
-    by `stops`, times at which steps must end, s. For known steps `numbers` is empty.
-    """
-
-    numbers: Array = _NONE
-    stops: Array = _NONE
+    """Chooses the step sizes of a run."""
 
     @abc.abstractmethod
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
         """Return size and end of the step after step n at time t, or why the run ends there."""
 
+
+class KnownController(Controller):
+    """Knows the step sizes of a run before it."""
+
+    @abc.abstractmethod
     def known(self, n: int) -> tuple[Array, Array]:
-        """Return sizes and ends of further steps from step n on that are fixed; empty if none."""
-        return _NONE, _NONE
+        """Return sizes and ends of further steps from step n on; s."""
+
+
+class ErrorController(Controller):
+    """Chooses step sizes from the times and errors of the steps.
+
+    Kernels choose sizes by `numbers` (`StepFilter` in `kernels/control.h`), which they change, and
+    by `stops`, times at which steps must end, s.
+    """
+
+    numbers: Array
+    stops: Array
 
     @abc.abstractmethod
     def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
@@ -309,12 +335,12 @@ class Controller(abc.ABC):
         try another size, n - 1 to repeat the step before, 0 to start the run anew.
         """
 
+    @abc.abstractmethod
     def passed(self, ends: Array, anew: bool) -> int:
         """Note accepted steps with these end times; return how many of them count.
 
         With `anew` the run starts anew after them.
         """
-        return len(ends)
 
     @abc.abstractmethod
     def state(self) -> tuple[float, ...]:
@@ -410,9 +436,9 @@ def _next(
     contacts: ContactRecord | None,
     path: deque[Reached],
 ) -> Reached | Failure:
-    """Try a step; return the progress of the run after it, or how the run ends.
+    """Take steps; return the progress of the run after them, or how the run ends.
 
-    `path` ends with the present progress, after some earlier ones; an accepted step is appended.
+    `path` ends with the present progress, after some earlier ones; accepted steps are appended.
     """
     n, t, _, now = reached = path[-1]
     planned = controller.plan(n, t)
@@ -420,40 +446,22 @@ def _next(
         return Failure(planned, 0.0)
     h, end = planned
     begin = Reached(n, t, h, method.start(h)) if now is None else reached
-    if len(controller.numbers):
-        taken = _controlled(method, controller, recorder, contacts, begin, path)
-        if taken is not None:
-            return taken
+    if isinstance(controller, ErrorController):
+        return _controlled(method, controller, recorder, contacts, begin, path)
+    assert isinstance(controller, KnownController)
     before = begin.now if now is None else method.resized(now, h / begin.last)
     sizes, ends = controller.known(n)
-    if len(sizes):
-        count, after = method.march(before, sizes, ends)
-        if count:
-            path.append(Reached(n + count, float(ends[count - 1]), float(sizes[count - 1]), after))
-            return path[-1]
-    after = method.advance(h, before, end)
-    if not isinstance(after, Failure) and not len(sizes):
-        # A shorter step finds the right root.
-        instants, q, v, *_ = method.recorded(after)
-        rows = Rows(np.atleast_1d(instants), np.atleast_2d(q), np.atleast_2d(v))
-        why = half_a_turn_off(method.system, t, rows.t, rows.q)
-        after = Failure(Verdict.OFF_ROOT, 0.0, why) if why else after
-        if contacts and contacts.passes(
-            *map(np.concatenate, zip(recorder.last(1), rows, strict=True))
-        ):
-            after = Failure(Verdict.MISSED_CONTACT, 0.0, _UNSEEN)
-    failed = isinstance(after, Failure)
-    if failed and after.verdict is Verdict.SINGULAR:
-        return after
-    judged = controller.judge(n, t, h, None if failed else method.error(h, before, after))
-    if isinstance(judged, int) and judged > n:
-        recorder.record(*method.recorded(after), control=controller.state())
-        path.append(Reached(judged, end, h, after))
+    count, after = method.march(before, sizes, ends)
+    if count:
+        path.append(Reached(n + count, float(ends[count - 1]), float(sizes[count - 1]), after))
         return path[-1]
-    recorder.rejected += 1
-    if isinstance(judged, Verdict):
-        return after if failed else Failure(judged, 0.0)
-    return _again(judged, recorder, path)
+    after = method.advance(h, before, end)
+    if isinstance(after, Failure):
+        recorder.rejected += after.verdict is not Verdict.SINGULAR
+        return after
+    recorder.record(*method.recorded(after))
+    path.append(Reached(n + 1, end, h, after))
+    return path[-1]
 
 
 def _again(judged: int, recorder: SolutionRecorder, path: deque[Reached]) -> Reached:
@@ -471,50 +479,65 @@ def _again(judged: int, recorder: SolutionRecorder, path: deque[Reached]) -> Rea
 
 def _controlled(
     method: OneStepMethod[Any],
-    controller: Controller,
+    controller: ErrorController,
     recorder: SolutionRecorder,
     contacts: ContactRecord | None,
     begin: Reached,
     path: deque[Reached],
-) -> Reached | Failure | None:
-    """Take several steps by one call of the method; return as `_next`, or None if it cannot.
+) -> Reached | Failure:
+    """Take several steps by one call of the method; return as `_next`.
 
-    Steps count up to the first that leaves the root of a driven joint or passes over a contact;
-    that one is judged as not solved.
+    Steps count up to the first that is `_lost`; that one is judged as not solved.
     """
     first, before = controller.numbers.copy(), recorder.last(1)
-    batch = method.controlled(begin, controller, recorder, 1 if contacts else _TOGETHER)
-    if batch is None:
-        return None
-    ends, why = batch.ends, batch.why
-    q, v, *_ = recorder.room(len(ends))
-    found = method.system.off_root(ends, q)
-    good = len(ends) if found is None else found[0]
-    wrong = found is not None
-    if contacts and len(ends) and not wrong:
-        rows = zip(before, (ends, q, v), strict=True)
-        wrong = contacts.passes(*map(np.concatenate, rows))
-        good -= wrong
-    kept = controller.passed(ends[:good], batch.again == 0)
+    batch = method.controlled(begin, controller, 1 if contacts else _TOGETHER)
+    ends, again = batch.ends, batch.again(begin.n)
+    q, v, *_ = recorder.room(len(batch.t))
+    lost = _lost(method.system, contacts, before, Rows(batch.t, q, v))
+    degree = len(batch.t) // max(len(ends), 1)
+    good = len(ends) if lost is None else lost.first // degree
+    kept = controller.passed(ends[:good], again == 0)
     instants = np.append(begin.t, ends)
     sizes = np.append(begin.last, np.diff(instants))
     if kept < len(ends):
         controller.numbers[:] = batch.filters[kept - 1] if kept else first
-    recorder.take(ends[:kept], controller.state())
+    recorder.take(batch.t[: degree * kept], controller.state())
     for k in range(max(kept - BACK, 1), kept + 1):
         path.append(Reached(begin.n + k, float(instants[k]), float(sizes[k]), batch.states(k)))
     if kept < good:
         recorder.rejected += 1
         return Failure(Verdict.ERROR_TEST, 0.0)
-    if wrong:
+    if lost is not None:
         recorder.rejected += 1
         n, t, *_ = path[-1]
-        why = Failure(Verdict.MISSED_CONTACT, 0.0, _UNSEEN)
-        if found is not None:
-            words = half_a_turn_off(method.system, t, ends[kept:], q[kept:])
-            why = Failure(Verdict.OFF_ROOT, 0.0, words)
         judged = controller.judge(n, t, float(sizes[kept + 1]), None)
-        return why if isinstance(judged, Verdict) else _again(judged, recorder, path)
-    if why is not None:
-        return why
-    return path[-1] if batch.again is None else _again(batch.again, recorder, path)
+        if isinstance(judged, Verdict):
+            return Failure(lost.verdict, 0.0, lost.remedy)
+        return _again(judged, recorder, path)
+    if batch.failure is not None:
+        return batch.failure
+    return path[-1] if again is None else _again(again, recorder, path)
+
+
+def _lost(
+    system: MechanicalSystem, contacts: ContactRecord | None, before: Rows, rows: Rows
+) -> Lost | None:
+    """Return the first of the states `rows` that a step under error control must not reach.
+
+    It stands half a turn off the root of a driven joint, left a guide or a pulley, or was reached
+    over a contact that no state sees.
+    """
+    found, lost = system.off_root(rows.t, rows.q), None
+    if found is not None:
+        begin = float(before.t[-1])
+        lost = Lost(found[0], Verdict.OFF_ROOT, half_a_turn_off(system, begin, rows.t, rows.q))
+    routed = system.traits.routed
+    if not len(rows.t) or not (routed or contacts):
+        return lost
+    path = tuple(map(np.concatenate, zip(before, rows, strict=True)))
+    off = system.off_route(*path) if routed else None
+    if off is not None and (lost is None or off[0] <= lost.first):
+        lost = Lost(max(off[0] - 1, 0), Verdict.OFF_ROUTE, f"The next step {off[1]}.")
+    if lost is None and contacts and contacts.passes(*path):
+        lost = Lost(0, Verdict.MISSED_CONTACT, _UNSEEN)
+    return lost

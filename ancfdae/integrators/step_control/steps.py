@@ -36,6 +36,8 @@ from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.integrator import require_rtol
 from ancfdae.integrators.step_control.contracts import (
     Controller,
+    ErrorController,
+    KnownController,
     OneStepMethod,
     StepControl,
     Tolerance,
@@ -200,7 +202,7 @@ class PrescribedSteps(_KnownSteps):
 
 @final
 @dataclass(frozen=True, eq=False)
-class StepPlan(Controller):
+class StepPlan(KnownController):
     """A controller of known steps: sizes and ends of all steps, step n at index n."""
 
     all_sizes: Array
@@ -216,14 +218,6 @@ class StepPlan(Controller):
         """Return sizes and ends of the next steps from step n on; s."""
         packet = slice(n, n + _PACKET)
         return self.all_sizes[packet], self.ends[packet]
-
-    def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
-        """Return the next step if this one was solved, else NO_CONVERGENCE."""
-        return Verdict.NO_CONVERGENCE if error is None else n + 1
-
-    def state(self) -> tuple[float, ...]:
-        """Return an empty state: the times determine the steps."""
-        return ()
 
 
 def require_square(where: str, value: float) -> None:
@@ -332,7 +326,7 @@ class AdaptiveSteps(StepControl):
 
 
 @final
-class _Filter(Controller):
+class _Filter(ErrorController):
     """The digital filter of the module, which tries `first`, s, as first step.
 
     Its formulas are in `kernels/control.h`; they read and change `numbers` (`StepFilter` there).

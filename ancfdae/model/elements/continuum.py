@@ -47,10 +47,10 @@ from ancfdae.model.elements.energy import EnhancedContinuum
 from ancfdae.model.elements.section_results import ContinuumSectionLaw, ContinuumStressLaw
 from ancfdae.model.elements.strains import (
     AXIS_POINTS,
+    Fibres,
     Region,
     change,
     fibres,
-    fibres_partial,
     gauss_rule,
     packed_gram,
     section_stiffness,
@@ -301,15 +301,12 @@ class _ContinuumIntegrals(ElementIntegrals):
         A_b, m_b = (np.zeros_like(x) for x in self.values)
         if which is ElementParameter.DENSITY:
             return A_b, self.values[1] / self._rho[:, None, None]
-        batch, moduli = (
-            self._batch,
-            (ElementParameter.YOUNGS_MODULUS, ElementParameter.POISSON_RATIO),
-        )
-        if self._C and which in moduli:
-            step, moved = batch.step(which), section_stiffness(batch.moved(which))
-            for r, C, C_moved in zip(self._regions, self._C, moved, strict=True):
+        step, moved = self._batch.step(which), self._batch.moved(which)
+        if self._C and which in (ElementParameter.YOUNGS_MODULUS, ElementParameter.POISSON_RATIO):
+            for r, C, C_moved in zip(self._regions, self._C, section_stiffness(moved), strict=True):
                 A_b += r.total(r.stiffness(change(C_moved, C, step)))
-        fibres_b = fibres_partial(batch, which)
+        pairs = zip(vars(fibres(moved)).values(), vars(self._fibres).values(), strict=True)
+        fibres_b = Fibres(*(change(*pair, step) for pair in pairs))
         if not fibres_b.any():
             return A_b, m_b
         moves = [fibres_b, fibres_b.axis()][: len(self._regions)]

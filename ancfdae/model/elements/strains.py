@@ -79,7 +79,6 @@ from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.kernels import strain
 from ancfdae.model.elements.element import (
     Batch,
-    ElementParameter,
     Quantity,
     curvature_weights,
     end_weight_xi,
@@ -111,35 +110,21 @@ def fibres(batch: Batch) -> Fibres:
     squares = np.column_stack([moments, twist]) / np.sum(dA, axis=1)[:, None]
     shear_centre = kind.section.twist_centre(sizes, centroid)
     radii = np.sqrt(squares) / l[:, None]
-    factors = _shared(batch, factors, radii)
+    waves = np.ones((len(l), 2), dtype=factors.dtype)
+    if kind.energy is not None and kind.energy.assumed_strains:
+        # The fraction _SHARE of the shear compliance acts on waves of the section.
+        nu = batch.moduli[1]
+        C = batch.energy.stiffness(batch.d, np.ones_like(nu), nu)[0]
+        compliance = (C[:, 0, 0] / C[:, -1, -1])[:, None] * (radii / factors)[:, :2] ** 2
+        waves = 1 / np.sqrt(1 + 12 * _SHARE * compliance)
+        factors = factors / np.sqrt([1 - _SHARE, 1 - _SHARE, 1.0])
+    factors = np.concatenate([factors, waves], axis=1)
     places = (x / l[:, None, None] for x in (np.stack([y, z], axis=-1), centroid, shear_centre))
     offsets, centroid, shear_centre = places
     ratio = radii[:, :2] ** 2
     fade = 1 / (1 + ratio**2)
     sizes_of_terms = radii, 1.5 * ratio * fade, fade
     return Fibres(offsets, dA * l[:, None], factors, *sizes_of_terms, centroid, shear_centre)
-
-
-def _shared(batch: Batch, factors: Array, radii: Array) -> Array:
-    """Return the stiffness factors of shears, twist and waves, shape (n, 5).
-
-    With assumed strains the fraction _SHARE of the shear compliance acts on waves of the section.
-    """
-    waves = np.ones((len(factors), 2), dtype=factors.dtype)
-    if batch.kind.energy is not None and batch.kind.energy.assumed_strains:
-        nu = batch.moduli[1]
-        C = batch.energy.stiffness(batch.d, np.ones_like(nu), nu)[0]
-        ratio = (C[:, 0, 0] / C[:, -1, -1])[:, None] * (radii / factors)[:, :2] ** 2
-        waves = 1 / np.sqrt(1 + 12 * _SHARE * ratio)
-        factors = factors / np.sqrt([1 - _SHARE, 1 - _SHARE, 1.0])
-    return np.concatenate([factors, waves], axis=1)
-
-
-def fibres_partial(batch: Batch, which: ElementParameter) -> Fibres:
-    """Return the derivative of `fibres`, the quadrature points, in an element parameter."""
-    at, moved, step = fibres(batch), fibres(batch.moved(which)), batch.step(which)
-    names = [each.name for each in fields(Fibres)]
-    return Fibres(*(change(getattr(moved, name), getattr(at, name), step) for name in names))
 
 
 def gauss_rule(count: int) -> tuple[Array, Array]:

@@ -192,27 +192,26 @@ class Expression(abc.ABC, Generic[K]):
 
     def combined(self, function: Function, operands: Sequence[object]) -> K:
         """Return a function of expressions of this kind and finite numbers; others are rejected."""
-        return self.of(function, tuple(self._operand(x) for x in operands))
-
-    def _operand(self, operand: object) -> object:
-        if isinstance(operand, Expression) and self.accepts(operand):
-            return operand
-        where = f"operand of {type(self).__name__}"
-        if isinstance(operand, Expression):
-            raise InvalidInputError(
-                where,
-                "observables combine with observables and objectives with objectives",
-                type(operand).__name__,
-                "Turn the observable into an objective, such as Integral(observable).",
-            )
-        if np.ndim(cast(Any, operand)) > 0:
-            got = f"an array of shape {np.shape(cast(Any, operand))}"
-            raise InvalidInputError(
-                where, "must be a single number", got, "Write one expression each."
-            )
-        number = operand.item() if isinstance(operand, np.ndarray) else operand
-        require_finite(where, cast(float, number), "Combine with numbers and expressions.")
-        return float(cast(float, number))
+        where, accepted = f"operand of {type(self).__name__}", list[object]()
+        for operand in operands:
+            if isinstance(operand, Expression):
+                if not self.accepts(operand):
+                    raise InvalidInputError(
+                        where,
+                        "observables combine with observables and objectives with objectives",
+                        type(operand).__name__,
+                        "Turn the observable into an objective, such as Integral(observable).",
+                    )
+                accepted.append(operand)
+                continue
+            if np.ndim(cast(Any, operand)) > 0:
+                got = f"an array of shape {np.shape(cast(Any, operand))}"
+                repair = "Write one expression each."
+                raise InvalidInputError(where, "must be a single number", got, repair)
+            number = operand.item() if isinstance(operand, np.ndarray) else operand
+            require_finite(where, cast(float, number), "Combine with numbers and expressions.")
+            accepted.append(float(cast(float, number)))
+        return self.of(function, tuple(accepted))
 
     def __array_ufunc__(
         self, ufunc: np.ufunc, method: str, *inputs: object, **options: object

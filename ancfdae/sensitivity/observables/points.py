@@ -182,28 +182,24 @@ class VectorComponent(Leaf):
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Return the component, weights times coordinates or velocities, shape (k,)."""
-        columns, weights, _ = self._combination(system)
-        value: Array = self._of(states)[:, columns] @ weights
-        return value
+        _, x, weights, _ = self._combination(system, states)
+        return np.asarray(x @ weights)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Return the weights, and their design derivatives times coordinates or velocities."""
-        columns, weights, weights_b = self._combination(system)
-        rows = Columns(columns, weights[None])
-        b = self._of(states)[:, columns] @ weights_b if np.any(weights_b) else None
+        columns, x, weights, weights_b = self._combination(system, states)
+        rows, b = Columns(columns, weights[None]), x @ weights_b if np.any(weights_b) else None
         return LeafGradient(v=rows, b=b) if self.rate else LeafGradient(q=rows, b=b)
 
-    def _of(self, states: States) -> Array:
-        return states.v if self.rate else states.q
-
-    def _combination(self, system: Named) -> tuple[Array, Array, Array]:
-        """Return columns, weights and design derivatives of weights with nonzero weight."""
+    def _combination(self, system: Named, states: States) -> tuple[Array, Array, Array, Array]:
+        """Return columns of nonzero weight, the states there, weights and their derivatives."""
         naming = known_naming(system)
         vector = naming.vector(self.point, self.quantity)
         # A weight is a power of the length times a number, and vanishes with its derivative.
         used = (vector.weights != 0) & (self.axis < naming.layout.d)
         columns = vector.vectors[used] * naming.layout.d + self.axis
-        return columns, vector.weights[used], vector.weights_b[used]
+        x = (states.v if self.rate else states.q)[:, columns]
+        return columns, x, vector.weights[used], vector.weights_b[used]
 
 
 # -- accelerations -----------------------------------------------------------------------------

@@ -188,7 +188,7 @@ class VonMises(Leaf):
     def check_leaf(self, system: Named) -> None:
         """Raise for a point that does not exist or lies outside the section."""
         sections = known_scene(system).sections
-        sections.require_material("von_mises, point", self.point)
+        sections.require_material(self.point)
         sections.stress_at(self.point)
 
     def leaf_value(self, system: Named, states: States) -> Array:

@@ -47,6 +47,8 @@ _LITTLE, _NOTHING, _ORDER_ONLY = 0.2, 0.05, 2.0
 # Most by which estimated errors may fall faster than with the order; otherwise the coarse run
 # followed another motion.
 _FASTER = 0.6
+# Largest ratio of the widths of one transition in two runs.
+_ALIKE = 4.0
 # Part of an error of phase that is left in the error bar of an extrapolated number.
 _EXTRAPOLATED = 0.15
 # Factors of the number of steps from the first run to the second: the largest if it suffices for
@@ -76,8 +78,9 @@ class HHTRuns(FixedStepRuns):
         self.waves = False
         # Number of steps above which steps are small; None until it is computed.
         self._small: float | None = None
-        # Transitions of forces that the runs pass over.
-        self.transitions = RESOLVED
+        # Transitions of forces that the runs pass over, the number of steps of the last run that
+        # did, and whether two runs found the same width.
+        self.transitions, self._seen_at, self._confirmed = RESOLVED, 0, False
 
     def take(self, sample: Sample) -> None:
         """Add a run, and find the waves that numerical damping removes from it.
@@ -91,16 +94,32 @@ class HHTRuns(FixedStepRuns):
         elif self.damps:
             self.samples = self.samples[-1:] if sample.steps < self._following / 2 else []
         self._lost, self._damped, self.whole, self._whole, self._fades = [], [], [], math.inf, None
-        wanted = self._wanted
         self._before, self._small = self.error, None
-        if sample.vectors:
-            found = passed_over(wanted.problem, sample.run, self._tolerance)
-            steps = max(found.steps, self.transitions.steps)
-            self.transitions = Transition(steps, min(found.narrow, self.transitions.narrow))
+        if sample.vectors and self._passes(sample):
+            self.samples = []
         if self.samples and sample.vectors:
             self._weigh(sample, _resolve([*self.samples, sample]))
         super().take(sample)
         self._taken = taken
+
+    def _passes(self, sample: Sample) -> bool:
+        """Find the transitions that a run passes over; return whether those seen before are gone.
+
+        The width of a transition in the state does not depend on the steps. A close passage has
+        another width in every run, until half the steps resolve it.
+        """
+        before, problem = self.transitions, self._wanted.problem
+        found = passed_over(problem, sample.run, self._tolerance)
+        if not found.steps:
+            gone = bool(before.steps) and sample.steps >= 2 * self._seen_at
+            if gone:
+                self.transitions, self._confirmed = RESOLVED, False
+            return gone
+        wide, narrow = max(found.narrow, before.narrow), min(found.narrow, before.narrow)
+        self._confirmed = self._confirmed or (bool(before.steps) and wide <= _ALIKE * narrow)
+        kept = Transition(max(found.steps, before.steps), narrow) if self._confirmed else found
+        self.transitions, self._seen_at = kept, sample.steps
+        return False
 
     def _weigh(self, sample: Sample, resolved: bool) -> None:
         """Estimate the effect on the wanted vectors of the waves that a run does not resolve."""
@@ -128,6 +147,11 @@ class HHTRuns(FixedStepRuns):
     def least(self) -> int:
         """Least number of steps; for derivatives it also resolves transitions of forces."""
         return max(super().least, self.transitions.steps if self._wanted.slopes else 0)
+
+    @property
+    def _doubtful(self) -> bool:
+        """Whether the steps are too few only for a transition that no second run confirmed."""
+        return not self._confirmed and self._taken >= super().least
 
     @property
     def loaded(self) -> bool:
@@ -245,7 +269,7 @@ class HHTRuns(FixedStepRuns):
         if len(self.samples) < 2:
             return math.ceil(self._second * self._taken) or self._first
         if self._taken < self.least:
-            return self.least
+            return min(self.least, 2 * self._taken) if self._doubtful else self.least
         if self.damps:
             return math.ceil(self._following)
         growth = 2.0
@@ -307,6 +331,8 @@ class HHTRuns(FixedStepRuns):
         and later with it.
         """
         if len(self.samples) < 2:
+            return self.work
+        if self._taken < self.least and self._doubtful:
             return self.work
         if self._taken < self.least:
             return self._work(self.least) + self._work(2 * self.least)

@@ -140,8 +140,9 @@ class RadauRuns(FixedStepRuns):
 # -- DOP853 ------------------------------------------------------------------------------------
 
 
-# First tolerance of DOP853 over the requested one; least and largest factor to the next.
-_FIRST, _TIGHTER, _TIGHTEST = 1.0, 10.0, 1e3
+# First tolerance of DOP853 over the requested one, and factor to the second; least and largest
+# factor to a later one. The first run only judges the second one.
+_FIRST, _SECOND, _TIGHTER, _TIGHTEST = 1.0, 100.0, 10.0, 1e3
 # Loosest and tightest tolerance of DOP853 in a search.
 _LOOSEST, _LEAST_RTOL = 1e-2, 3e-14
 # Number of last paths whose sharp places have stops, and how often the stops are doubled.
@@ -243,7 +244,7 @@ class DOP853Runs(Runs):
     def _next(self) -> float:
         """Tolerance of the next run of DOP853, from the error of the runs so far."""
         if not self.estimates:
-            return self._rtol / _TIGHTER
+            return self._rtol / (_SECOND if len(self._taken) < 2 else _TIGHTER)
         further = self.error / (AIM * self._tolerance)
         return self._rtol / min(max(further, _TIGHTER), _TIGHTEST)
 
@@ -276,8 +277,12 @@ class DOP853Runs(Runs):
 
     @property
     def work(self) -> float:
-        """Estimated cost of the next run at the predicted number of steps, microseconds."""
-        return self._of(self._foreseen)
+        """Estimated cost of the next run at the predicted number of steps, microseconds.
+
+        Infinite after a run at the tightest tolerance.
+        """
+        tightest = self._taken and self._taken[-1] <= _LEAST_RTOL
+        return math.inf if tightest else self._of(self._foreseen)
 
     def _of(self, steps: float) -> float:
         instants = 8 * self._intervals
@@ -290,13 +295,13 @@ class DOP853Runs(Runs):
     def left(self) -> float:
         """Estimated cost of the next run and of the one that judges it, microseconds.
 
-        Infinite until there are runs of HHT to compare, and after a run at the tightest tolerance.
+        Infinite until there are runs of HHT to compare.
         """
-        if not self._seer.asked or (self._taken and self._taken[-1] <= _LEAST_RTOL):
+        if not self._seer.asked:
             return math.inf
         if self.samples:
             return self.work
-        return self.work + self._of(self._steps(self._rtol / _TIGHTER))
+        return self.work + self._of(self._steps(self._rtol / _SECOND))
 
     def judged(self) -> list[Estimate]:
         """Return estimates from the last two runs; from three if HHT's runs contradict them."""

@@ -497,16 +497,14 @@ class _Chords:
 
     def kinks(self, share: float) -> int:
         """Return the number of steps below which steps jump over a kink of the functions."""
-        cut = slice(1, -1)
-        kinked = (
-            level
-            for level, off, after, _ in self._cells
-            # The first and the last chord of a half level are cut: a quarter of their length is
-            # half of it, and a smooth function only four times closer.
-            if np.any(((off > share) & (after > _KINKED * off))[cut if level % 1 else slice(None)])
-        )
-        last = max(kinked, default=None)
-        return 0 if last is None else 2 ** (math.floor(last) + 1)
+        last = -1.0
+        for level, off, after, _ in self._cells:
+            # A smooth function is closer to one chord that bends both ways, or that is cut, than
+            # its curvature says; it is not to the chords beside.
+            near = np.maximum(off, np.maximum(np.append(off[1:], 0.0), np.append(0.0, off[:-1])))
+            if np.any((off > share) & (after > _KINKED * near)):
+                last = level
+        return 2 ** (math.floor(last) + 1) if last > 0 else 0
 
     def places(self, level: Array, kinks: int, steps: int) -> Places:
         """Return sharp places from the last level that passes over a change at each time."""

@@ -107,7 +107,9 @@ class _Spent:
     def price(self, runs: Runs, left: float) -> str:
         """Return in words the cost of the tolerance by a sequence of runs."""
         seen = "" if math.isinf(runs.error) else f" (at {runs.error:.1g})"
-        if math.isinf(left) or left > 1e3 * _MOST:
+        if math.isinf(left) and runs.work < math.inf:
+            return f"{runs.name}{seen} at a cost that is not known"
+        if left > 1e3 * _MOST:
             return f"{runs.name}{seen} out of reach"
         seconds = sum(trial.seconds for _, trial, _ in self.runs) / self.work * left
         return f"{runs.name}{seen} about {seconds:.1g} s more"
