@@ -225,7 +225,7 @@ def followed(
     """Follow a motion on its branch from (t, q) to `end`; return the time reached, and q there.
 
     Where Phi_q loses rank on the way, the motion goes on along the branch on which its velocities
-    are continuous, if there is one; the time is less than `end` if there is none. `guide` gives the
+    are continuous; without such a branch the time is less than `end`. `guide` gives the
     aim of the motion where constraints leave motions free; `taken` is a mask, (n_lam,), of the
     constraints that are followed, by default all.
     """
