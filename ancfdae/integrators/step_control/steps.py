@@ -387,10 +387,13 @@ def _root(x: float, order: int) -> float:
 # tries shorter steps until one succeeds (a pendulum of IDA at 3e-13: five in a row, and the end
 # time is reached).
 _STEPS, _SHARE = 100, 1e-12
-# Steps count as steady if the last quarter of a hundred advances by a factor between these limits
-# relative to the quarter before, or the last half of many hundreds relative to the half before:
-# repeated steps disturb quarters where stability or noise limits their size.
+# Steps count as steady if the last quarter of the first hundred advances by a factor between these
+# limits relative to the quarter before, or the last half of many hundreds relative to the half
+# before: repeated steps disturb quarters where stability or noise limits their size.
 _SLOWER, _FASTER = 0.5, 1.5
+# None of many steady hundreds advances by less than this share of their mean: bounces of a body,
+# each with short and long steps, are not steady.
+_LEAST_SHARE = 0.3
 # Number of hundreds of steps that must predict too many steps before a warning.
 _HUNDREDS = 20
 
@@ -441,14 +444,16 @@ class Pace:
 
     def _warn_of_many(self, t: float) -> None:
         """Warn if steady steps up to time t, s, predict too many steps."""
-        marks, steps = [self._half, self._quarter, t], _STEPS // 4
+        marks, steps, even = [self._half, self._quarter, t], _STEPS // 4, True
         if not self._sure:
             if len(self._ends) <= _HUNDREDS:
                 return
             marks, steps = [self._ends[k] for k in (0, _HUNDREDS // 2, -1)], _HUNDREDS * _STEPS // 2
+            even = np.diff(self._ends).min() > _LEAST_SHARE * (t - marks[0]) / _HUNDREDS
         before, last = marks[1] - marks[0], marks[2] - marks[1]
         h = (before + last) / (2 * steps)
-        if _SLOWER * before <= last <= _FASTER * before and self._t_end - t > self._many * h:
+        steady = even and _SLOWER * before <= last <= _FASTER * before
+        if steady and self._t_end - t > self._many * h:
             self._tell(t, h)
 
     def _tell(self, t: float, h: float) -> None:
