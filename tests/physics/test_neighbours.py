@@ -92,13 +92,12 @@ def test_a_run_with_renewed_neighbours_is_that_with_all_pairs(make, t_end, integ
 
 
 @pytest.mark.parametrize("away", [0.0, 1e3])
-def test_steps_under_error_control_are_those_with_all_pairs(away):
-    # Up to the second collision; each of them multiplies round-off by a hundred.
-    runs = [simulate(plough(reach, away=away)[0], 0.15, Radau(rtol=1e-6)) for reach in (None, 0.05)]
+def test_runs_under_error_control_agree_within_their_error(away):
+    # Through the second collision. After a new list the first step may be another one.
+    runs = [simulate(plough(reach, away=away)[0], 0.19, Radau(rtol=1e-7)) for reach in (None, 0.05)]
     whole, near = runs
     assert near.outcome.success
-    np.testing.assert_allclose(near.t, whole.t, rtol=1e-8 if away else 1e-11)
-    np.testing.assert_allclose(near.q, whole.q, atol=1e-7 if away else 1e-11)
+    np.testing.assert_allclose(near.q[-1], whole.q[-1], rtol=0, atol=1e-5)
 
 
 def test_long_free_flights_do_not_pass_over_pairs_out_of_reach():
