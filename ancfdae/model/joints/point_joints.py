@@ -232,6 +232,7 @@ class Distance(FormulaJoint):
     stroke = Stroke.LINK
     design_fields = (("length", require_positive), ("ground", require_vector))
     needs_other_end = True
+    alike = True
 
     def equations(self, U: Array, p: Array, reference: Array, laws: Array) -> list[Any]:
         """Return (|U_0 - U_1|^2 / L - L) / 2, by differences of places that may be far away.
