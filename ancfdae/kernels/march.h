@@ -562,6 +562,12 @@ constexpr double ROUNDINGS = 8;
 /* Iterations of a step after which the forces at rest are looked at. */
 constexpr Size USUAL = 3;
 
+/* Whether a correction of coordinates is lost in their last place. */
+template <class T> bool lost(const Plan<T> *p, const T *q, double correction)
+{
+    return correction <= ROUNDINGS * DBL_EPSILON * size_of<T>(p->n_q, q, p->weights);
+}
+
 /* What may remain of R where forces balance each other, as on a body at rest on a spring: the
  * tolerance times the forces that act, each counted by itself, and the round-off that f_q makes of
  * errors in the last place of coordinates. Elastic forces have a round-off of their own (`blur`).
@@ -639,7 +645,7 @@ int iterated(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Befo
          * are small too, and forces must balance. */
         int stuck = fresh && rate > 0.5 && size <= rules->round_off &&
                     unbalanced<T>(p, r) <= rules->round_off * now;
-        if (!stuck && i >= USUAL)
+        if (!stuck && i >= USUAL && lost<T>(p, r->q, c->in_q * size_of<T>(p->n_q, r->x, p->weights)))
             stuck = unbalanced<T>(p, r) <=
                     at_rest<T>(p, r, of_loads + AT_END * p->n_factors, rules->tolerance);
         if (!stuck && last < INFINITY && size > rules->round_off) {

@@ -241,6 +241,21 @@ template <class T> double stages_changed(StageStep<T> *s)
     return sqrt(of_a + of_lam);
 }
 
+/* How far the forces of all stages are from balance, and may be where they balance each other. */
+template <class T> double stages_unbalanced(const StageStep<T> *s)
+{
+    double sum = 0;
+    for (int i = 0; i < STAGES; i++)
+        sum += squared_size<T>(s->plan->n_q, s->R + i * s->plan->n_q, s->plan->inverse);
+    return sqrt(sum);
+}
+
+template <class T> double stages_at_rest(const StageStep<T> *s)
+{
+    const T *of_loads = s->of_loads + (STAGES - 1) * s->plan->n_factors;
+    return sqrt((double)STAGES) * at_rest<T>(s->plan, s->room, of_loads, s->rules->tolerance);
+}
+
 /* Newton's method: 0, or how steps end. `size` is the last correction relative to the motion. */
 template <class T> int stages_iterated(StageStep<T> *s)
 {
@@ -273,6 +288,8 @@ template <class T> int stages_iterated(StageStep<T> *s)
         double rate = last < INFINITY ? fmin(size / last, 1) : size > 0;
         int stuck =
             last < INFINITY && rate > rules->slow && size <= rules->round_off + floor / motion;
+        if (!stuck && s->iterations > USUAL && lost<T>(s->plan, s->q, change * rules->h * rules->h))
+            stuck = stages_unbalanced<T>(s) <= stages_at_rest<T>(s);
         double left = size * (fresh ? rate * rate : fmin(rate / (1.001 - rate), 1));
         if (settled || stuck || left <= rules->tolerance) {
             if (settled++ == 0)
