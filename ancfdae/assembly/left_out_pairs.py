@@ -20,6 +20,8 @@ _WAYS: Final = 5.0
 _LEAST: Final = 2.0**-7
 # Fraction 1/_PARTS of the reach by which nodes move between states in which neighbours are sought.
 _PARTS: Final = 20.0
+# Length of a step over the reach above which it is not examined before it is judged.
+_FAR: Final = 100.0
 
 
 def near_pairs(
@@ -90,6 +92,22 @@ class LeftOutPairs:
                 self._missed = MissedContact(float(t[k] + s * (t[k + 1] - t[k])), advice)
                 return
         self._left -= way[-1] - done
+
+    def tried(self, t: Array, q: Array, v: Array) -> tuple[Array, MissedContact] | None:
+        """Return the first state, (1, n_q), of a step at which a pair left out touches, or None.
+
+        The step, from the last state examined, is not followed further. Steps longer than 100 times
+        the reach are not examined: they diverged, or are rejected with all pairs too.
+        """
+        if not np.sum(self._ways(t, q, v)) < _FAR * self._reach:
+            return None
+        left = self._left
+        self.follow(t, q, v)
+        missed, self._missed, self._left = self._missed, None, left
+        if missed is None:
+            return None
+        k = int(np.clip(np.searchsorted(t, missed.time) - 1, 0, len(t) - 2))
+        return _on_cubic((missed.time - t[k]) / (t[k + 1] - t[k]), (t, q, v), k), missed
 
     def missed(self) -> MissedContact | None:
         """Return the first time at which a pair touches that the load leaves out, or None."""
