@@ -23,7 +23,14 @@ from ancfdae.integrators.step_control import (
     PrescribedSteps,
     StepControl,
 )
-from ancfdae.integrators.step_control.contracts import OneStepMethod, Reached, march, with_own_sizes
+from ancfdae.integrators.step_control.contracts import (
+    BACK,
+    NOWHERE,
+    OneStepMethod,
+    Reached,
+    march,
+    with_own_sizes,
+)
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
 
@@ -93,8 +100,8 @@ class SteppedIntegrator(AdjointIntegrator):
         """Return the one-step method of a run; `sizes_b` are sizes of the design derivatives."""
 
     @abc.abstractmethod
-    def _state_after(self, run: Solution) -> Any:
-        """Return the internal state of the method after a run of at least one step."""
+    def _state_after(self, run: Solution, steps: int) -> Any:
+        """Return the internal state of the method after some steps of a run, at least one."""
 
     @abc.abstractmethod
     def _derivatives(
@@ -253,9 +260,12 @@ class SteppedIntegrator(AdjointIntegrator):
             run, end = march(stepper, begun, recorder, t_end, progress)
             return run, end.tried
         controller = self.steps.controller(t_end, stepper, before.control)
-        taken, state = self.sizes(before), self._state_after(before)
-        reached = Reached(len(taken), float(before.t[-1]), float(taken[-1]), state)
-        run, end = march(stepper, controller, recorder, t_end, progress, reached)
+        h, t = self.sizes(before).tolist(), before.t[:: self.degree].tolist()
+        path = [
+            Reached(k, t[k], h[k - 1], self._state_after(before, k)) if k else NOWHERE
+            for k in range(max(len(h) - BACK, 0), len(h) + 1)
+        ]
+        run, end = march(stepper, controller, recorder, t_end, progress, path)
         return run, end.tried
 
     def _derivatives_along(self, system: MechanicalSystem) -> bool:

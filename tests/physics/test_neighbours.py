@@ -154,6 +154,21 @@ def test_a_run_goes_on_with_the_neighbours_of_its_end():
     np.testing.assert_allclose(run.q, whole.q, rtol=0, atol=1e-10)
 
 
+@pytest.mark.parametrize("reach", [None, 0.05])
+def test_a_run_that_is_stopped_after_any_attempt_goes_on_as_the_whole_run(reach):
+    # Three steps of the run are taken back and repeated with half their size.
+    scene, t_end, tol = plough(reach)[0], 0.15, 1e-3
+    whole = simulate(scene, t_end, Radau(rtol=tol))
+    attempts = whole.statistics.steps + whole.statistics.rejected
+    assert attempts > 30
+    for most in range(1, attempts):
+        first = simulate(scene, t_end, Radau(AdaptiveSteps(tol, max_steps=most)))
+        assert first.outcome.verdict is Verdict.STEP_LIMIT
+        run = simulate(scene, t_end, Radau(rtol=tol), after=first)
+        np.testing.assert_allclose(run.t, whole.t, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(run.q, whole.q, rtol=0, atol=1e-10)
+
+
 def test_observables_of_a_load_have_all_pairs():
     works = []
     for reach in (None, 0.05):

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import abc
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, final
 
@@ -214,7 +214,8 @@ class Reached(NamedTuple):
     tried: Array | None = None
 
 
-_NOWHERE = Reached(0, 0.0, 0.0, None)
+#: Progress of a run at its start.
+NOWHERE = Reached(0, 0.0, 0.0, None)
 _NO_TIMES = np.zeros(0)
 # Most steps under error control of one call of the kernel.
 _TOGETHER = 64
@@ -401,18 +402,20 @@ def march(
     recorder: SolutionRecorder,
     t_end: float,
     progress: bool,
-    reached: Reached = _NOWHERE,
+    before: Sequence[Reached] = (),
 ) -> tuple[Solution, Reached]:
     """Step to the end; after a failure or an interrupt the solution holds the steps so far.
 
-    The recorder holds the states before `reached`.
+    A run that goes on has its progress `before`, after its last steps that may be taken back, and a
+    recorder that holds its states.
     """
-    if reached is _NOWHERE:
+    if not before:
         recorder.record(*method.consistent())
     watch, lost = Watch(method.system, recorder), None
     # Steps under control are shorter where they would pass over a contact.
     contacts = method.system.contacts()
-    path = deque([reached], maxlen=1 + BACK)
+    path = deque(before or [NOWHERE], maxlen=1 + BACK)
+    reached = path[-1]
     with progress_bar(progress, total=t_end, initial=reached.t, unit="s") as bar:
         try:
             # A run that diverges overflows; its outcome reports it, so NumPy's warnings are off.
@@ -427,10 +430,8 @@ def march(
         except SingularMatrix:
             end = Failure(Verdict.SINGULAR, 0.0)
         except TriedOver as tried:
-            # The step is tried again, and only then judged, with the pairs that it met.
+            # All that was tried from here is tried again with the pairs that the step met.
             reached = path[-1]._replace(tried=tried.q)
-            assert isinstance(controller, ErrorController)
-            recorder.take(_NO_TIMES, controller.state())
             end = Failure(Verdict.LEFT_OUT, 0.0, tried.advice)
         except KeyboardInterrupt:
             end = Failure(Verdict.INTERRUPTED, 0.0)
@@ -492,7 +493,7 @@ def _go_back(again: int, recorder: SolutionRecorder, path: deque[Reached]) -> No
         path.pop()
     else:
         recorder.restart()
-        path.append(_NOWHERE)
+        path.append(NOWHERE)
 
 
 def _controlled(
