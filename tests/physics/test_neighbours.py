@@ -169,6 +169,34 @@ def test_a_run_that_is_stopped_after_any_attempt_goes_on_as_the_whole_run(reach)
         np.testing.assert_allclose(run.q, whole.q, rtol=0, atol=1e-10)
 
 
+def test_a_step_that_is_tried_leaves_no_trace():
+    # The first ball is tried from close to the third one, far back, and then meets it. The second
+    # ball, next to the first one in the reference, is in the list.
+    bodies = [
+        RigidBody(x, (y, 0.0), mass=1.0, inertia=0.1)
+        for x, y in zip("abc", (0, 0.5, 60.0), strict=True)
+    ]
+    touch = SphereContacts(list("abc"), [0.1] * 3, stiffness=1e5, reach=0.5, name="touch")
+    system = assemble(Scene([], [], bodies=bodies, loads=[touch]))
+    (pairs,), (q, v) = system.left_out(), system.start()
+
+    def path(*places):
+        t, rows = np.arange(2.0), np.repeat(q[None], 2, axis=0)
+        rows[:, 0] = places
+        speeds = np.repeat(v[None], 2, axis=0)
+        speeds[:, 0] = places[1] - places[0]
+        return t, rows, speeds
+
+    assert pairs.tried(*path(59.0, 9.0)) is None  # Its length is 100 times the reach.
+    assert pairs.tried(*path(59.0, 9.1)) is None
+    met, _ = pairs.tried(*path(59.0, 60.2))
+    assert met[0, 0] == pytest.approx(59.8, abs=1e-2)
+    assert pairs.tried(*path(59.0, 9.1)) is None
+    assert pairs.missed() is None
+    pairs.follow(*path(59.0, 59.85))
+    assert pairs.missed().time == pytest.approx(0.8 / 0.85, abs=1e-2)
+
+
 def test_observables_of_a_load_have_all_pairs():
     works = []
     for reach in (None, 0.05):
