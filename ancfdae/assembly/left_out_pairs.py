@@ -20,6 +20,8 @@ _WAYS: Final = 5.0
 _LEAST: Final = 2.0**-7
 # Fraction 1/_PARTS of the reach by which nodes move between states in which neighbours are sought.
 _PARTS: Final = 20.0
+# Length of a step over the reach above which it is not examined before it is judged.
+_FAR: Final = 100.0
 
 
 def near_pairs(
@@ -28,20 +30,25 @@ def near_pairs(
     """Return the pairs of a load that are near in states q, (k, n_q), shape (n, 2), at least one.
 
     Gaps are at most the reach in one state, and half of it along a run. Along a run they are
-    measured wherever a node has moved by 1/20 of the reach, by which gaps change by 1/4 of it.
-    `wider` multiplies the reach.
+    measured wherever a node has moved by 1/20 of the reach, by which gaps change by 1/4 of it, or
+    by more where no further pair could come so near. `wider` multiplies the reach.
     """
     assert load.reach is not None
     places, reach = _places(load, naming, q), wider * load.reach
     steps = [np.linalg.norm(np.diff(x, axis=0), axis=2).max(axis=1) for x in places]
-    way = np.concatenate([[0.0], np.cumsum(np.max(steps, axis=0))]) / (reach / _PARTS)
-    gap = reach if len(q) == 1 else (1 / 2 + _WAYS / _PARTS) * reach
-    at = np.interp(np.arange(np.ceil(way[-1]) + 1), way, np.arange(len(way)))
-    first = np.minimum(at.astype(int), max(len(q) - 2, 0))
-    found = list[Array]()
-    for k, s in zip(first.tolist(), (at - first).tolist(), strict=True):
-        now = [x[k] + s * (x[min(k + 1, len(x) - 1)] - x[k]) for x in places]
-        found.append(load.within(now, gap))
+    way, done, found = np.concatenate([[0.0], np.cumsum(np.max(steps, axis=0))]), 0.0, list[Array]()
+    least = part = reach / _PARTS if len(q) > 1 else reach / (2 * _WAYS)
+    while done <= way[-1]:
+        at = np.interp(done, way, np.arange(len(way)))
+        k = min(int(at), len(q) - 1)
+        now = [x[k] + (at - k) * (x[min(k + 1, len(x) - 1)] - x[k]) for x in places]
+        found.append(load.within(now, reach / 2 + _WAYS * least))
+        part *= 2
+        while part > least and done < way[-1]:
+            if len(load.within(now, reach / 2 + _WAYS * part)) == len(found[-1]):
+                break
+            part /= 2
+        done += part
     near = np.unique(np.concatenate(found), axis=0)
     near = without(near, load.adjoining(load.places(elements)))
     return near if len(near) else load.pairs(elements)
@@ -67,8 +74,8 @@ class LeftOutPairs:
         never = load.adjoining(load.places(elements))
         self._known = np.concatenate([load.pairs(elements), never])
         self._missed: MissedContact | None = None
-        # Remaining path of nodes until gaps are measured again; m.
-        self._left = 0.0
+        # Remaining path of nodes until gaps are measured again, and smallest gap tested; m.
+        self._left, self._gap = 0.0, self._reach / 2
 
     def follow(self, t: Array, q: Array, v: Array) -> None:
         """Examine consecutive states of the run."""
@@ -91,6 +98,22 @@ class LeftOutPairs:
                 return
         self._left -= way[-1] - done
 
+    def tried(self, t: Array, q: Array, v: Array) -> tuple[Array, MissedContact] | None:
+        """Return the first state, (1, n_q), of a step at which a pair left out touches, or None.
+
+        The step, from the last state examined, is not followed further. Steps longer than 100 times
+        the reach are not examined: they diverged, or are rejected with all pairs too.
+        """
+        if not np.sum(self._ways(t, q, v)) < _FAR * self._reach:
+            return None
+        left = self._left
+        self.follow(t, q, v)
+        missed, self._missed, self._left = self._missed, None, left
+        if missed is None:
+            return None
+        k = int(np.clip(np.searchsorted(t, missed.time) - 1, 0, len(t) - 2))
+        return _on_cubic((missed.time - t[k]) / (t[k + 1] - t[k]), (t, q, v), k), missed
+
     def missed(self) -> MissedContact | None:
         """Return the first time at which a pair touches that the load leaves out, or None."""
         return self._missed
@@ -108,9 +131,10 @@ class LeftOutPairs:
 
     def _free_way(self, places: list[Array]) -> float:
         """Return how far nodes may move before a pair touches, m; zero if one may touch next."""
-        now, gap = [x[0] for x in places], self._reach / 2
+        now, gap = [x[0] for x in places], max(2 * self._gap, self._reach / 2)
         while gap > _LEAST * self._reach:
             if self._all_listed(now, gap):
+                self._gap = gap
                 return gap / _WAYS
             gap /= 2
         return 0.0

@@ -114,7 +114,8 @@ class Generic(MechanicalSystem):
 
 
 # Methods that forces, masses and constraints do not determine: positions, states that no body can
-# have, the elastic part of a force, the root of a constraint that is meant, functions of time.
+# have, the elastic part of a force, the root of a constraint that is meant, functions of time,
+# pairs of bodies that are near.
 _UNDETERMINED = frozenset(
     {
         "along",

@@ -177,6 +177,12 @@ class LeftOut(Protocol):
     def missed(self) -> MissedContact | None:
         """Return the first time at which such a pair touches, or None."""
 
+    def tried(self, t: Array, q: Array, v: Array) -> tuple[Array, MissedContact] | None:
+        """Return the first state, (1, n_q), of a tried step at which such a pair touches, or None.
+
+        The time points begin with the last one examined, and are not followed.
+        """
+
 
 class ContactRecord(abc.ABC):
     """Base class of objects that follow the states of one run and check its contacts."""

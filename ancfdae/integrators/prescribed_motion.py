@@ -14,6 +14,7 @@ Mass matrices that depend on q may lose their definiteness on the way (`indefini
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, final
 
 import numpy as np
@@ -104,6 +105,14 @@ class Changes:
         return changed
 
 
+class TriedOver(Exception):
+    """A step was tried over pairs that a system leaves out: its states q, (k, n_q), and advice."""
+
+    def __init__(self, q: Array, advice: str) -> None:
+        super().__init__(advice)
+        self.q, self.advice = q, advice
+
+
 @final
 class Watch:
     """Checks recorded states of a run, each once, and cuts the run back to its last right state."""
@@ -125,7 +134,9 @@ class Watch:
         The recorder then deletes that step and all after it.
         """
         recorder = self._recorder
-        self._right = min(self._right, recorder.instants)
+        if recorder.instants < self._right:  # Steps were taken back.
+            self._right = recorder.instants
+            self._left_out = self._system.left_out()
         late = recorder.instants - self._right
         together = 1 if self._left_out or all_of_them else _TOGETHER
         if late < together:
@@ -137,6 +148,18 @@ class Watch:
             recorder.cut(self._right + lost.first)
         self._right = recorder.instants
         return lost
+
+    @property
+    def tries(self) -> Callable[[Rows], None] | None:
+        """Function that raises TriedOver if a tried step meets pairs left out; None without."""
+        return self._try if self._left_out else None
+
+    def _try(self, rows: Rows) -> None:
+        path = [np.concatenate(x).real for x in zip(self._recorder.last(1), rows, strict=True)]
+        for pairs in self._left_out:
+            if found := pairs.tried(*path):
+                q, missed = found
+                raise TriedOver(np.concatenate([path[1], q]), missed.advice)
 
     def _lost(self, rows: Rows) -> Lost | None:
         """Return the first wrong step between `rows`; its `first` counts from the second row.

@@ -62,9 +62,8 @@ class SolutionRecorder:
                 "Use a larger step, fewer instants or a shorter run.",
             ) from error
         self.instants = 0
-        # State of step control, and before the last step with the number of time points then.
+        # State of step control at the last time.
         self._control: tuple[float, ...] = ()
-        self._earlier: tuple[int, tuple[float, ...]] = (0, ())
         self.accepted: int | None = None
         self.iterations = self.factorisations = self.residuals = 0
         self.round_off_steps = self.rejected = self.continued = 0
@@ -103,21 +102,18 @@ class SolutionRecorder:
         a: Array,
         lam: Array,
         derivatives: tuple[Array, ...] = (),
-        *,
-        control: tuple[float, ...] = (),
     ) -> None:
-        """Store a state, its design derivatives (q_b, v_b, a_b, lam_b) and `control`.
+        """Store a state and its design derivatives (q_b, v_b, a_b, lam_b).
 
-        `control` is the state of step control. With an array t, (k,), all arrays hold k rows. Rows
-        count only when all are stored, so that an interrupt leaves no incomplete row.
+        With an array t, (k,), all arrays hold k rows. Rows count only when all are stored, so that
+        an interrupt leaves no incomplete row.
         """
         rows = slice(self.instants, self.instants + np.size(t))
         while rows.stop > len(self._arrays[0]):
             self._arrays = [np.concatenate([x, np.zeros_like(x)]) for x in self._arrays]
         for array, value in zip(self._arrays, (t, q, v, a, lam, *derivatives), strict=True):
             array[rows] = value
-        self._earlier = self.instants, self._control
-        self.instants, self._control = rows.stop, control
+        self.instants, self._control = rows.stop, ()
 
     def room(self, count: int) -> StateRows:
         """Return the next `count` rows of q, v, a and lam as views to fill; `take` counts them."""
@@ -129,7 +125,6 @@ class SolutionRecorder:
     def take(self, t: Array, control: tuple[float, ...] = ()) -> None:
         """Add rows that are already written, at times t, s, and store the state of step control."""
         self._arrays[0][self.instants : self.instants + len(t)] = t
-        self._earlier = self.instants, self._control
         self.instants, self._control = self.instants + len(t), control
 
     def beside(self, derivatives: tuple[Array, ...]) -> None:
@@ -144,8 +139,7 @@ class SolutionRecorder:
 
     def cut(self, count: int) -> None:
         """Delete time points after the first `count`, and a step that is thus incomplete."""
-        self.instants = 1 + (count - 1) // self._degree * self._degree
-        self._control = self._earlier[1] if self.instants == self._earlier[0] else ()
+        self.instants, self._control = 1 + (count - 1) // self._degree * self._degree, ()
 
     def back(self) -> None:
         """Delete the last recorded step and count it as rejected."""

@@ -23,7 +23,14 @@ from ancfdae.integrators.step_control import (
     PrescribedSteps,
     StepControl,
 )
-from ancfdae.integrators.step_control.contracts import OneStepMethod, Reached, march, with_own_sizes
+from ancfdae.integrators.step_control.contracts import (
+    BACK,
+    NOWHERE,
+    OneStepMethod,
+    Reached,
+    march,
+    with_own_sizes,
+)
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
 
@@ -93,8 +100,8 @@ class SteppedIntegrator(AdjointIntegrator):
         """Return the one-step method of a run; `sizes_b` are sizes of the design derivatives."""
 
     @abc.abstractmethod
-    def _state_after(self, run: Solution) -> Any:
-        """Return the internal state of the method after a run of at least one step."""
+    def _state_after(self, run: Solution, steps: int) -> Any:
+        """Return the internal state of the method after some steps of a run, at least one."""
 
     @abc.abstractmethod
     def _derivatives(
@@ -200,13 +207,15 @@ class SteppedIntegrator(AdjointIntegrator):
             after = after if len(after.t) > 1 else None
 
         def run(sizes_b: Array) -> Solution:
-            near, before = problem, after
+            near, before, q, begun = problem, after, np.zeros((0, system.n_q)), 0
             while True:
-                done = self._marched(near, t_end, sizes_b, before, progress)
+                done, tried = self._marched(near, t_end, sizes_b, before, progress)
                 if done.outcome.verdict is not Verdict.LEFT_OUT:
                     break
-                # The run goes on with the pair that comes close, which may be far before its step.
-                q, known = done.q[-1:], near.system
+                # The run goes on with the pair that comes close, which may be far before its step,
+                # or with the pairs along all steps that were tried from here.
+                known, here = near.system, q if begun == len(done.t) else done.q[-1:]
+                q, begun = here if tried is None else np.concatenate([here, tried]), len(done.t)
                 others = (known.along(q, 2.0**k) for k in range(_DOUBLINGS))
                 renewed = next((other for other in others if other is not known), known)
                 if renewed is known:
@@ -238,18 +247,26 @@ class SteppedIntegrator(AdjointIntegrator):
         sizes_b: Array,
         before: Solution | None,
         progress: bool,
-    ) -> Solution:
-        """Return the run `before`, if given, continued by steps to `t_end` or to a failure."""
+    ) -> tuple[Solution, Array | None]:
+        """Return the run `before`, if given, continued by steps to `t_end` or to a failure.
+
+        After it stand coordinates of a step that was tried next over pairs that are left out.
+        """
         rows, along = self.degree * self.steps.count(t_end) + 1, problem.derivative is not None
         recorder = SolutionRecorder(problem.system, rows, self.degree, along, before)
         stepper = self._stepper(problem, t_end, sizes_b, recorder)
         if before is None:
             begun = self.steps.controller(t_end, stepper)
-            return march(stepper, begun, recorder, t_end, progress)[0]
+            run, end = march(stepper, begun, recorder, t_end, progress)
+            return run, end.tried
         controller = self.steps.controller(t_end, stepper, before.control)
-        taken, state = self.sizes(before), self._state_after(before)
-        reached = Reached(len(taken), float(before.t[-1]), float(taken[-1]), state)
-        return march(stepper, controller, recorder, t_end, progress, reached)[0]
+        h, t = self.sizes(before).tolist(), before.t[:: self.degree].tolist()
+        path = [
+            Reached(k, t[k], h[k - 1], self._state_after(before, k)) if k else NOWHERE
+            for k in range(max(len(h) - BACK, 0), len(h) + 1)
+        ]
+        run, end = march(stepper, controller, recorder, t_end, progress, path)
+        return run, end.tried
 
     def _derivatives_along(self, system: MechanicalSystem) -> bool:
         """Return whether design derivatives are integrated with the motion and control steps."""

@@ -176,7 +176,7 @@ def stepped_to_its_last_steps(steps, t_end, method):
     controller, n, t = steps.controller(t_end, method), 0, 0.0
     for n in range(1000):
         h, t_next = controller.plan(n, t)
-        if controller.state()[-1] > 0:
+        if controller.state()[7] > 0:  # Steps left.
             return controller, n, t, h, t_next
         controller.judge(n, t, h, method.e * h**method.order)
         t = t_next

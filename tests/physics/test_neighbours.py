@@ -92,12 +92,25 @@ def test_a_run_with_renewed_neighbours_is_that_with_all_pairs(make, t_end, integ
 
 
 @pytest.mark.parametrize("away", [0.0, 1e3])
-def test_runs_under_error_control_agree_within_their_error(away):
-    # Through the second collision. After a new list the first step may be another one.
-    runs = [simulate(plough(reach, away=away)[0], 0.19, Radau(rtol=1e-7)) for reach in (None, 0.05)]
+@pytest.mark.parametrize("integrator", [Radau(rtol=1e-6), Radau(rtol=1e-7), HHT(rtol=1e-5)])
+@pytest.mark.parametrize("reach", [0.01, 0.05])
+def test_steps_under_error_control_are_those_with_all_pairs(integrator, away, reach):
+    # Through the second collision; each of them multiplies round-off by a hundred. Steps that are
+    # tried after the free flight reach over the first ball to the second one, and are rejected.
+    runs = [simulate(plough(x, away=away)[0], 0.19, integrator) for x in (None, reach)]
     whole, near = runs
     assert near.outcome.success
-    np.testing.assert_allclose(near.q[-1], whole.q[-1], rtol=0, atol=1e-5)
+    assert near.statistics.steps == whole.statistics.steps
+    assert near.statistics.rejected == whole.statistics.rejected
+    np.testing.assert_allclose(near.t, whole.t, rtol=0, atol=1e-6 if away else 1e-9)
+    np.testing.assert_allclose(near.q, whole.q, rtol=0, atol=1e-5 if away else 1e-8)
+
+
+def test_a_loop_has_the_steps_with_all_pairs():
+    runs = [simulate(loop(reach)[0], 0.012, Radau(rtol=1e-5)) for reach in (None, 0.01)]
+    whole, near = runs
+    np.testing.assert_allclose(near.t, whole.t, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(near.q, whole.q, rtol=0, atol=1e-10)
 
 
 def test_long_free_flights_do_not_pass_over_pairs_out_of_reach():
@@ -139,6 +152,49 @@ def test_a_run_goes_on_with_the_neighbours_of_its_end():
     first = simulate(scene, 0.3, HHT(5e-4))
     run = simulate(scene, 0.6, HHT(5e-4), after=first)
     np.testing.assert_allclose(run.q, whole.q, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("reach", [None, 0.05])
+def test_a_run_that_is_stopped_after_any_attempt_goes_on_as_the_whole_run(reach):
+    # Three steps of the run are taken back and repeated with half their size.
+    scene, t_end, tol = plough(reach)[0], 0.15, 1e-3
+    whole = simulate(scene, t_end, Radau(rtol=tol))
+    attempts = whole.statistics.steps + whole.statistics.rejected
+    assert attempts > 30
+    for most in range(1, attempts):
+        first = simulate(scene, t_end, Radau(AdaptiveSteps(tol, max_steps=most)))
+        assert first.outcome.verdict is Verdict.STEP_LIMIT
+        run = simulate(scene, t_end, Radau(rtol=tol), after=first)
+        np.testing.assert_allclose(run.t, whole.t, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(run.q, whole.q, rtol=0, atol=1e-10)
+
+
+def test_a_step_that_is_tried_leaves_no_trace():
+    # The first ball is tried from close to the third one, far back, and then meets it. The second
+    # ball, next to the first one in the reference, is in the list.
+    bodies = [
+        RigidBody(x, (y, 0.0), mass=1.0, inertia=0.1)
+        for x, y in zip("abc", (0, 0.5, 60.0), strict=True)
+    ]
+    touch = SphereContacts(list("abc"), [0.1] * 3, stiffness=1e5, reach=0.5, name="touch")
+    system = assemble(Scene([], [], bodies=bodies, loads=[touch]))
+    (pairs,), (q, v) = system.left_out(), system.start()
+
+    def path(*places):
+        t, rows = np.arange(2.0), np.repeat(q[None], 2, axis=0)
+        rows[:, 0] = places
+        speeds = np.repeat(v[None], 2, axis=0)
+        speeds[:, 0] = places[1] - places[0]
+        return t, rows, speeds
+
+    assert pairs.tried(*path(59.0, 9.0)) is None  # Its length is 100 times the reach.
+    assert pairs.tried(*path(59.0, 9.1)) is None
+    met, _ = pairs.tried(*path(59.0, 60.2))
+    assert met[0, 0] == pytest.approx(59.8, abs=1e-2)
+    assert pairs.tried(*path(59.0, 9.1)) is None
+    assert pairs.missed() is None
+    pairs.follow(*path(59.0, 59.85))
+    assert pairs.missed().time == pytest.approx(0.8 / 0.85, abs=1e-2)
 
 
 def test_observables_of_a_load_have_all_pairs():

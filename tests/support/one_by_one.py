@@ -16,8 +16,8 @@ class OneByOne(OneStepMethod):
     def error(self, h, before, after):
         raise NotImplementedError
 
-    def controlled(self, begin, controller, most):
-        n, t, last, now = begin
+    def controlled(self, begin, controller, most, tries=None):
+        n, t, last, now, _ = begin
         h, end = controller.plan(n, t)
         before = self.resized(now, h / last)
         after = self.advance(h, before, end)

@@ -69,7 +69,7 @@ class Replay(RunInParts):
         recorder.record(*(stepper.recorded((node, None)) if first else stepper.consistent()))
         begun = Reached(first, float(self.t[first]), float(h[max(first - 1, 0)]), (node, None))
         plan = StepPlan(h[:last], self.t[1 : last + 1])
-        run, reached = march(stepper, plan, recorder, float(self.t[last]), False, begun)
+        run, reached = march(stepper, plan, recorder, float(self.t[last]), False, [begun])
         self.taken += reached.n - first
         run = replace(run, outcome=replace(run.outcome, step=reached.n))
         if self._contacts:
@@ -178,8 +178,8 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
         tolerance = self.steps.tolerance(t_end, problem.scales.q, sizes_b)
         return HHTStepper(problem, self.hht_alpha, newton, tolerance, recorder)
 
-    def _state_after(self, run: Solution) -> tuple[Node, None]:
-        return node_after(run, len(run.t) - 1, self.hht_alpha), None
+    def _state_after(self, run: Solution, steps: int) -> tuple[Node, None]:
+        return node_after(run, steps, self.hht_alpha), None
 
     def _derivatives(
         self, problem: InitialValueProblem, run: Solution, progress: bool

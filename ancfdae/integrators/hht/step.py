@@ -53,7 +53,7 @@ from ancfdae.integrators.hht.equations import (
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.prescribed_motion import turn_error
 from ancfdae.integrators.problem import InitialValueProblem, vector_sizes
-from ancfdae.integrators.recorder import SolutionRecorder, StateRows
+from ancfdae.integrators.recorder import Rows, SolutionRecorder, StateRows
 from ancfdae.integrators.step_control.contracts import (
     VERDICTS,
     Batch,
@@ -63,6 +63,7 @@ from ancfdae.integrators.step_control.contracts import (
     Reached,
     Record,
     Tolerance,
+    Tries,
 )
 from ancfdae.kernels import FILTER, March, norm
 from ancfdae.numerics.arrays import Array
@@ -462,7 +463,9 @@ class HHTStepper(OneStepMethod[State]):
         self._recorder.take(ends[:taken])
         return taken, (node, None)
 
-    def controlled(self, begin: Reached, controller: ErrorController, most: int) -> Batch:
+    def controlled(
+        self, begin: Reached, controller: ErrorController, most: int, tries: Tries | None
+    ) -> Batch:
         """Take steps in one call of the kernel, one by one with derivatives."""
         assert self._tolerance is not None
         (node, node_b), scales, tolerance = begin.now, self._problem.scales, self._tolerance
@@ -470,8 +473,15 @@ class HHTStepper(OneStepMethod[State]):
         motion, solver = begin._replace(now=node), self._solver
         given = motion, controller, (*bounds, self.system.vector_size)
         laws, after_b = self._laws if solver.timed else None, node_b
+
+        def seen(after: Node, h: float) -> float:
+            assert tries is not None
+            tries(Rows(np.array([after.t]), after.q[None], after.v[None]))
+            return 0.0
+
         if node_b is None:
-            found = solver.controlled(*given, laws, 1 if solver.alone else most)
+            along_with = seen if tries else None
+            found = solver.controlled(*given, laws, 1 if solver.alone else most, along_with)
             return found._replace(states=lambda k: (found.states(k), None))
 
         def along(after: Node, h: float) -> float:

@@ -54,7 +54,7 @@ class RadauReplay(RunInParts):
         plan = StepPlan(self._h[:end], self._ends[1 : end + 1])
         begun = Reached(begin, float(t), node.h, node)
         stepper = self._stepper(recorder)
-        run, reached = march(stepper, plan, recorder, float(self._ends[end]), False, begun)
+        run, reached = march(stepper, plan, recorder, float(self._ends[end]), False, [begun])
         self.taken += reached.n - begin
         run = replace(run, outcome=replace(run.outcome, step=reached.n))
         if self._contacts:
@@ -145,9 +145,10 @@ class Radau(SteppedIntegrator, PartwiseIntegrator):
                 tolerances.append(replace(tolerance, rtol=rtol, atol=atol))
         return RadauStepper(problem, newton, tuple(tolerances), recorder)
 
-    def _state_after(self, run: Solution) -> State:
-        rows = tuple(x[-4:] for x in (run.t, run.q, run.v, run.a, run.lam))
-        return State(float(self.sizes(run)[-1]), rows)
+    def _state_after(self, run: Solution, steps: int) -> State:
+        last = slice(3 * steps - 3, 3 * steps + 1)
+        rows = tuple(x[last] for x in (run.t, run.q, run.v, run.a, run.lam))
+        return State(float(self.sizes(run)[steps - 1]), rows)
 
     def _derivatives(
         self, problem: InitialValueProblem, run: Solution, progress: bool

@@ -40,7 +40,7 @@ from ancfdae.integrators.radau.stages import (
     laws_of,
     laws_of_known,
 )
-from ancfdae.integrators.recorder import SolutionRecorder
+from ancfdae.integrators.recorder import Rows, SolutionRecorder
 from ancfdae.integrators.step_control.contracts import (
     Batch,
     ErrorController,
@@ -49,6 +49,7 @@ from ancfdae.integrators.step_control.contracts import (
     Reached,
     Record,
     Tolerance,
+    Tries,
 )
 from ancfdae.numerics.arrays import Array
 
@@ -130,23 +131,37 @@ class RadauStepper(OneStepMethod[State]):
         begin = Reached(0, t, before.h, before)
         return self._solver.march(begin, control, len(sizes), None, laws)[0]
 
-    def controlled(self, begin: Reached, controller: ErrorController, most: int) -> Batch:
+    def controlled(
+        self, begin: Reached, controller: ErrorController, most: int, tries: Tries | None
+    ) -> Batch:
         """Take steps in one call of the kernel, one by one with derivatives."""
         control = Control(controller.numbers, controller.stops, _NONE, _NONE)
-        return self._controlled(begin, control, most)[0]
+        return self._controlled(begin, control, most, tries)[0]
 
-    def _controlled(self, begin: Reached, control: Control, most: int) -> tuple[Batch, float]:
+    def _controlled(
+        self, begin: Reached, control: Control, most: int, tries: Tries | None = None
+    ) -> tuple[Batch, float]:
         """Return steps with errors against the tolerances, and e of the last one."""
         solver, before, derivatives = self._solver, begin.now, tuple[Array, ...]()
         laws = laws_of(solver.prepared, self._turn_error) if solver.prepared.timed else None
+        rows = self._recorder.room(3)
+
+        def times(h: float, end: float) -> Array:
+            return np.append(begin.t + h * PLACES[:2, 0], end)
+
+        def seen(h: float, end: float) -> float:
+            assert tries is not None
+            tries(Rows(times(h, end), *rows[:2]))
+            return 0.0
+
         if not before.derivatives:
             most = 1 if solver.prepared.alone else most
-            return solver.march(begin, control, most, self._bounds, laws)
-        rows = self._recorder.room(3)
+            along_with = seen if tries else None
+            return solver.march(begin, control, most, self._bounds, laws, along_with)
 
         def along(h: float, end: float) -> float:
             nonlocal derivatives
-            t = np.append(begin.t + h * PLACES[:2, 0], end)
+            t = times(h, end)
             both = zip(before.rows, (t, *rows), strict=True)
             after = State(h, tuple(np.concatenate([x[-1:], y]) for x, y in both))
             derivatives, errors = self._differentiated(before, after)

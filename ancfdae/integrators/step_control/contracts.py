@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import abc
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, final
 
@@ -38,7 +38,7 @@ from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import ContactRecord
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import RunOutcome, Verdict
-from ancfdae.integrators.prescribed_motion import Lost, Watch, half_a_turn_off, lock
+from ancfdae.integrators.prescribed_motion import Lost, TriedOver, Watch, half_a_turn_off, lock
 from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.recorder import Rows, SolutionRecorder
 from ancfdae.kernels import March
@@ -202,17 +202,27 @@ class Failure(NamedTuple):
 
 
 class Reached(NamedTuple):
-    """Progress of a run: index of the next step, time, size of the last step, and state."""
+    """Progress of a run: index of the next step, time, size of the last step, and state.
+
+    `tried` are coordinates, (k, n_q), of a step that was tried next over pairs that are left out.
+    """
 
     n: int
     t: float
     last: float
     now: Any
+    tried: Array | None = None
 
 
-_NOWHERE = Reached(0, 0.0, 0.0, None)
+#: Progress of a run at its start.
+NOWHERE = Reached(0, 0.0, 0.0, None)
+_NO_TIMES = np.zeros(0)
 # Most steps under error control of one call of the kernel.
 _TOGETHER = 64
+
+
+# Raises an exception if a step must not be judged.
+Tries = Callable[[Rows], None]
 
 
 class Batch(NamedTuple):
@@ -286,10 +296,13 @@ class OneStepMethod(abc.ABC, Generic[State]):
         return 0, before
 
     @abc.abstractmethod
-    def controlled(self, begin: Reached, controller: ErrorController, most: int) -> Batch:
+    def controlled(
+        self, begin: Reached, controller: ErrorController, most: int, tries: Tries | None
+    ) -> Batch:
         """Take up to `most` steps under error control, and write them to the recorder's next rows.
 
-        A step is planned and judged by the controller's `numbers`.
+        A step is planned and judged by the controller's `numbers`. `tries` is called with the
+        states of every step that is tried, before it is judged; then there is one step.
         """
 
     @abc.abstractmethod
@@ -389,23 +402,25 @@ def march(
     recorder: SolutionRecorder,
     t_end: float,
     progress: bool,
-    reached: Reached = _NOWHERE,
+    before: Sequence[Reached] = (),
 ) -> tuple[Solution, Reached]:
     """Step to the end; after a failure or an interrupt the solution holds the steps so far.
 
-    The recorder holds the states before `reached`.
+    A run that goes on has its progress `before`, after its last steps that may be taken back, and a
+    recorder that holds its states.
     """
-    if reached is _NOWHERE:
+    if not before:
         recorder.record(*method.consistent())
     watch, lost = Watch(method.system, recorder), None
     # Steps under control are shorter where they would pass over a contact.
     contacts = method.system.contacts()
-    path = deque([reached], maxlen=1 + BACK)
+    path = deque(before or [NOWHERE], maxlen=1 + BACK)
+    reached = path[-1]
     with progress_bar(progress, total=t_end, initial=reached.t, unit="s") as bar:
         try:
             # A run that diverges overflows; its outcome reports it, so NumPy's warnings are off.
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                tools = method, controller, recorder, contacts
+                tools = method, controller, recorder, contacts, watch.tries
                 while isinstance(end := _next(*tools, path), Reached):
                     bar.update(end.t - reached.t)
                     reached = end
@@ -414,6 +429,10 @@ def march(
                 lost = lost or watch.missed(all_of_them=True)
         except SingularMatrix:
             end = Failure(Verdict.SINGULAR, 0.0)
+        except TriedOver as tried:
+            # All that was tried from here is tried again with the pairs that the step met.
+            reached = path[-1]._replace(tried=tried.q)
+            end = Failure(Verdict.LEFT_OUT, 0.0, tried.advice)
         except KeyboardInterrupt:
             end = Failure(Verdict.INTERRUPTED, 0.0)
     # Also check states of a run that ended before the check in the loop.
@@ -434,20 +453,21 @@ def _next(
     controller: Controller,
     recorder: SolutionRecorder,
     contacts: ContactRecord | None,
+    tries: Tries | None,
     path: deque[Reached],
 ) -> Reached | Failure:
     """Take steps; return the progress of the run after them, or how the run ends.
 
     `path` ends with the present progress, after some earlier ones; accepted steps are appended.
     """
-    n, t, _, now = reached = path[-1]
+    n, t, _, now, _ = reached = path[-1]
     planned = controller.plan(n, t)
     if isinstance(planned, Verdict):
         return Failure(planned, 0.0)
     h, end = planned
     begin = Reached(n, t, h, method.start(h)) if now is None else reached
     if isinstance(controller, ErrorController):
-        return _controlled(method, controller, recorder, contacts, begin, path)
+        return _controlled(method, controller, recorder, contacts, tries, begin, path)
     assert isinstance(controller, KnownController)
     before = begin.now if now is None else method.resized(now, h / begin.last)
     sizes, ends = controller.known(n)
@@ -464,17 +484,16 @@ def _next(
     return path[-1]
 
 
-def _again(judged: int, recorder: SolutionRecorder, path: deque[Reached]) -> Reached:
-    """Return the progress at step `judged`: the last, the one before, or the start of the run."""
-    if judged == path[-1].n:
-        return path[-1]
-    if judged > 0:
+def _go_back(again: int, recorder: SolutionRecorder, path: deque[Reached]) -> None:
+    """Go on from step `again`: the last, the one before, or the start of the run."""
+    if again == path[-1].n:
+        return
+    if again > 0:
         recorder.back()
         path.pop()
     else:
         recorder.restart()
-        path.append(_NOWHERE)
-    return path[-1]
+        path.append(NOWHERE)
 
 
 def _controlled(
@@ -482,6 +501,7 @@ def _controlled(
     controller: ErrorController,
     recorder: SolutionRecorder,
     contacts: ContactRecord | None,
+    tries: Tries | None,
     begin: Reached,
     path: deque[Reached],
 ) -> Reached | Failure:
@@ -490,7 +510,7 @@ def _controlled(
     Steps count up to the first that is `_lost`; that one is judged as not solved.
     """
     first, before = controller.numbers.copy(), recorder.last(1)
-    batch = method.controlled(begin, controller, 1 if contacts else _TOGETHER)
+    batch = method.controlled(begin, controller, 1 if contacts else _TOGETHER, tries)
     ends, again = batch.ends, batch.again(begin.n)
     q, v, *_ = recorder.room(len(batch.t))
     lost = _lost(method.system, contacts, before, Rows(batch.t, q, v))
@@ -513,10 +533,13 @@ def _controlled(
         judged = controller.judge(n, t, float(sizes[kept + 1]), None)
         if isinstance(judged, Verdict):
             return Failure(lost.verdict, 0.0, lost.remedy)
-        return _again(judged, recorder, path)
-    if batch.failure is not None:
+        again = judged
+    elif batch.failure is not None:
         return batch.failure
-    return path[-1] if again is None else _again(again, recorder, path)
+    if again is not None:
+        _go_back(again, recorder, path)
+        recorder.take(_NO_TIMES, controller.state())
+    return path[-1]
 
 
 def _lost(

@@ -235,8 +235,8 @@ _ROUGH = 1e-3
 _ROWS = 1000
 _AIM = 0.5
 #: Numbers of a filter that change in a run and continue it.
-_CHANGING = slice(4, 12)
-_NUMBERS = _CHANGING.stop - _CHANGING.start
+_CHANGING = slice(4, FILTER)
+_NUMBERS = FILTER - _CHANGING.start
 
 
 @final
@@ -343,8 +343,10 @@ class _Filter(ErrorController):
         self.stops = np.array(method.system.breakpoints(t_end), dtype=float)
         self.numbers = np.zeros(FILTER)
         self.numbers[:4] = method.order, method.bears_jumps, t_end, max_steps
-        # Size, first size, wish, ratio, memory, last size, steps tried, steps left to the end.
-        self.numbers[_CHANGING] = state or (first, first, 1.0, 1.0, 0.0, first, 0.0, 0.0)
+        # Size, first size, wish, ratio, memory, last size, steps tried, steps left to the end; no
+        # attempt to repeat, and no accepted steps.
+        begun = first, first, 1.0, 1.0, 0.0, first
+        self.numbers[_CHANGING] = state or (*begun, *[0.0] * (_NUMBERS - len(begun)))
         self._pace = Pace(t_end, method.many, method.remedy)
 
     def state(self) -> tuple[float, ...]:
