@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ancfdae import DOP853, HHT, Radau, simulate
+from ancfdae import DOP853, HHT, IDA, Radau, simulate
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.extend import FormulaSystem
 from ancfdae.integrators import prescribed_motion
@@ -100,6 +100,14 @@ def test_steps_under_error_control_end_at_the_time_at_which_the_mass_is_zero(int
     assert run.outcome.time == pytest.approx(1.0, abs=1e-11)
     assert (run.q < 1).all()
     assert run.statistics.steps < 60
+
+
+def test_ida_keeps_the_output_times_before_the_mass_is_zero():
+    """A step passes over t = 1; output times from 0.59 on, before it, were lost."""
+    run = simulate(Coasting(), 2.0, IDA(1e-8))
+    assert not run.outcome.success
+    assert 0.98 < run.outcome.time < 1.0
+    assert run.q[:, 0] == pytest.approx(run.t, rel=1e-6)
 
 
 def rows(*second):
