@@ -69,8 +69,11 @@ class JointInput:
 
     @property
     def input_count(self) -> int:
-        """Number of inputs of formulas: parameters, reference vectors, and laws; 0 without."""
-        if not isinstance(self.joint, FormulaJoint):
+        """Number of inputs of formulas: parameters, reference vectors, and laws; 0 without.
+
+        A joint by formulas from which an equation is left out has no other.
+        """
+        if not isinstance(self.joint, FormulaJoint) or self.dropped:
             return 0
         return len(self.p) + self.reference.size + len(self.joint.laws)
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, final
 
 import numpy as np
+import scipy
 
 from ancfdae.assembly.beam_sections import BeamSections
 from ancfdae.assembly.contact_checks import Groups, RunContacts
@@ -44,6 +46,11 @@ if TYPE_CHECKING:
 
 # Largest number of element states that are checked at once: more do not fit into the cache.
 _STATES = 2000
+
+
+# Singular value below which rows of Phi_q of unit length depend on each other, and w^T Phi_b over
+# the length of Phi_b that is not round-off.
+_DEPENDENT, _OPENED = 1e-8, 1e-7
 
 
 @in_one_thread
@@ -138,6 +145,7 @@ class AncfSystem(PlannedSystem):
             force_round_off=self._elastic.round_off(self._reference.Z.ravel(), self.weights),
             breakpoints=self.inputs.breakpoints,
             leaves_out=any(map(leaves_out, self._scene.loads)),
+            rows_left_out=len(self._scene.left_out) > 0,
         )
 
     def breakpoints(self, t_end: float) -> tuple[float, ...]:
@@ -231,6 +239,38 @@ class AncfSystem(PlannedSystem):
         return *values, joints.partials(t, 3, self.n_b), loads.factors_b(t)
 
     # -- the protocol --------------------------------------------------------------------------
+
+    def require_derivatives_at(self, t: float, q: Array, v: Array) -> None:
+        """Raise InvalidInputError if a design variable opens a joint with equations left out.
+
+        The equations of all joints have derivatives q_b, Phi_q q_b + Phi_b = 0, only where
+        w^T Phi_b = 0 for every w with w^T Phi_q = 0. Where more rows than those that are left out
+        depend on each other, at a dead point, nothing is raised.
+        """
+        if not self._scene.left_out or not self.n_b:
+            return
+        whole, q = self._with_all_rows, q.real
+        Phi_q = whole.constraint_pattern.dense(whole.constraint_q(t, q)) / np.sqrt(self.weights)
+        lengths = np.linalg.norm(Phi_q, axis=1)
+        w = scipy.linalg.null_space((Phi_q / lengths[:, None]).T, rcond=_DEPENDENT)
+        if w.shape[1] > len(self._scene.left_out):
+            return
+        Phi_b = whole.constraint_total(t, (q,)) / lengths[:, None]
+        opened = np.abs(w.T @ Phi_b) > _OPENED * np.linalg.norm(Phi_b, axis=0)
+        names = [name for name, no in zip(self.design_names, opened.any(axis=0), strict=True) if no]
+        if names:
+            rule = "must not open joints of which `Scene.left_out` leaves equations out"
+            repair = (
+                "The motion has no derivative: one link alone cannot change. Change all that must "
+                "fit together, by one DesignVariable with several targets."
+            )
+            raise InvalidInputError("design", rule, listed(names), repair)
+
+    @cached_property
+    def _with_all_rows(self) -> AncfSystem:
+        scene, structure = replace(self._scene, left_out=()), self._structure
+        values = self.b.real
+        return AncfSystem(Numbers.first(scene, structure.design, self._mapping, values))
 
     @in_one_thread
     def with_values(self, b: Array) -> AncfSystem:

@@ -117,11 +117,14 @@ class Generic(MechanicalSystem):
 # have, the elastic part of a force, the root of a constraint that is meant, functions of time.
 _UNDETERMINED = frozenset(
     {
+        "along",
         "breakpoints",
         "centred",
         "coarse",
         "contacts",
         "folded",
+        "in_all_states",
+        "left_out",
         "mirrored",
         "off_root",
         "off_route",

@@ -103,6 +103,9 @@ class SystemProperties:
     leaves_out : bool
         Whether pairs of bodies that are far from each other are left out, so that runs call
         `along`, and follow the pairs by `left_out`.
+    rows_left_out : bool
+        Whether redundant equations of joints are left out, which a change of the design may break:
+        derivatives call `require_derivatives_at`.
     force_round_off : float
         Round-off of Q in the norm sqrt(sum Q^2 / weights); zero if it is the round-off of Q
         itself. Newton corrections that stop decreasing at this level are accepted.
@@ -119,6 +122,7 @@ class SystemProperties:
     project_start: bool = False
     routed: bool = False
     leaves_out: bool = False
+    rows_left_out: bool = False
     force_round_off: float = 0.0
     breakpoints: tuple[float, ...] = ()
 
@@ -281,9 +285,10 @@ class MechanicalSystem(ComplexSteps):
         return np.concatenate([self.force(t, q_rows[0], v_rows[0])[None], total.T])
 
     def require_derivatives_at(self, t: float, q: Array, v: Array) -> None:
-        """Raise InvalidInputError if the user's functions lack a derivative at a state.
+        """Raise InvalidInputError if the motion has no derivative at a state.
 
-        By default it raises nothing.
+        A function of the user may lack one there, or a change of the design opens a joint of which
+        redundant equations are left out. By default it raises nothing.
         """
 
     def breakpoints(self, t_end: float) -> tuple[float, ...]:

@@ -204,8 +204,9 @@ class Scene(SceneDesign):
                 rule = "must hold pairs of the name of a joint and the number of an equation"
                 raise InvalidInputError("Scene.left_out", rule, repr(pair), repair)
             require_kind("Scene.left_out, equation", pair[1], (int, np.integer), repair)
-            if isinstance(named("Scene.left_out, joint", pair[0], self.joints), FormulaJoint):
-                rule = "equations of a joint by formulas cannot be left out"
+            joint = named("Scene.left_out, joint", pair[0], self.joints)
+            if isinstance(joint, FormulaJoint) and joint.row_count(self.dimension) != 1:
+                rule = "of a joint by formulas only a single equation can be left out"
                 raise InvalidInputError("Scene.left_out", rule, repr(pair[0]), repair)
         object.__setattr__(self, "left_out", tuple((name, int(row)) for name, row in pairs))
 

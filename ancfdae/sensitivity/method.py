@@ -33,8 +33,9 @@ from ancfdae.sensitivity.objectives.objective import NO_TOTALS, NonFiniteObjecti
 from ancfdae.sensitivity.objectives.reductions import read_at_end, totals_of
 from ancfdae.sensitivity.observables.observable import states_of
 
-# Number of states, evenly spaced in the run, at which functions of a user are checked.
-_STATES = 64
+# Number of states, evenly spaced in the run, at which functions of a user are checked, and at which
+# redundant equations that are left out are.
+_STATES, _FEW = 64, 5
 # A run warns of a nearly singular position if it is _NEAR times nearer to losing rank there than at
 # its best state, and if errors so amplified exceed _WRONG times the size of the coordinates.
 _NEAR, _WRONG = 5.0, 0.05
@@ -51,11 +52,13 @@ def require_differentiable(
 ) -> None:
     """Check that a run, (k,) times t and (k, n_q) q and v, has derivatives; `errors` are estimates.
 
-    Raises InvalidInputError if a user's function is not analytic at one of the states; warns with
+    Raises InvalidInputError if a user's function is not analytic at one of the states, or if a
+    variable of the design opens a joint of which redundant equations are left out; warns with
     StabilityWarning if a step passes over a singular position, or if errors are large near one.
     """
-    if system.called_functions:
-        some = np.unique(np.linspace(0, len(t) - 1, _STATES).astype(int))
+    if system.called_functions or system.traits.rows_left_out:
+        count = _STATES if system.called_functions else _FEW
+        some = np.unique(np.linspace(0, len(t) - 1, count).astype(int))
         for each in some:
             system.require_derivatives_at(float(t[each]), q[each], v[each])
     if system.traits.linear_constraints or not system.n_lam or not system.has_loops:

@@ -61,10 +61,12 @@ def drop_redundant(scene: Scene) -> Scene:
 
     A closed chain of hinges in space holds some directions twice: of a planar four-bar with four
     `Revolute` joints three equations are redundant, of Bricard's mechanism one. Motion and design
-    derivatives do not depend on which of them are left out. Multipliers, and with them reactions,
-    do: in rigid bodies no equation says how redundant joints share a force. A joint keeps
-    its position as long as directions of axes can be left out instead, and as the equations that
-    stay are then independent along the motion.
+    derivatives do not depend on which of them are left out. There are none in a variable that opens
+    a joint of which an equation is left out, such as the length of one crank of a parallelogram
+    with three; gradients refuse it. Multipliers, and with them reactions, depend on the choice: in
+    rigid bodies no equation says how redundant joints share a force. A joint keeps its position as
+    long as directions of axes can be left out instead, and as the equations that stay are then
+    independent along the motion.
 
     Returns
     -------
@@ -203,8 +205,9 @@ def _labelled(structure: JointStructure, d: int) -> Iterator[tuple[tuple[str, in
     """Yield, for each joint equation, joint and row, its kind, and whether the joint is driven."""
     for slot, layout in zip(structure.slots, structure.joints, strict=True):
         joint = slot.item.joint
-        fixed = joint.driven or isinstance(joint, (Rigidity, FormulaJoint))
         rows = np.delete(np.arange(layout.rows + len(slot.item.dropped)), slot.item.dropped)
+        by_formulas = isinstance(joint, FormulaJoint) and len(rows) != 1
+        fixed = joint.driven or isinstance(joint, Rigidity) or by_formulas
         for row in rows.tolist():
             kind = 0 if fixed else 1 if joint.holds_position and row < d else 2
             yield (layout.name, row), kind, joint.driven

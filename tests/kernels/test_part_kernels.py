@@ -53,9 +53,8 @@ def declared(item, U, t):
     """Equations of a joint at vectors, from what it declares alone."""
     value, *moving = (c.at(U) for c in item.parts)
     if isinstance(item.joint, DrivenJoint):
-        value = value + sum(
-            f * x for f, x in zip(item.factors(np.array([t]), 0), moving, strict=True)
-        )
+        factors = item.joint.factors(item.p, np.array([t]), 0)
+        value = value + sum(f * x for f, x in zip(factors, moving, strict=True))
     return value
 
 
