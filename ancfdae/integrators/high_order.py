@@ -294,11 +294,21 @@ class HighOrder(QuadratureIntegrator):
 def _record(
     problem: InitialValueProblem, recorder: SolutionRecorder, t: Array, states: Array
 ) -> None:
-    """Complete states, (k, 2, rows, n_q), by accelerations and multipliers, and record them."""
+    """Complete states, (k, 2, rows, n_q), by accelerations and multipliers, and record them.
+
+    If one of them has no accelerations, those before it are recorded and an exception is raised.
+    """
     n = problem.system.n_q
-    x = problem.accelerations.rows_of(t, states)
-    if not finite(x):
-        raise NotFinite
+    try:
+        x = problem.accelerations.rows_of(t, states)
+        if not finite(x):
+            raise NotFinite
+    except (NotFinite, SingularMatrix):
+        if len(t) == 1:
+            raise
+        for k in range(len(t)):
+            _record(problem, recorder, t[[k]], states[[k]])
+        return
     parts = states[:, 0], states[:, 1], x[..., :n], x[..., n:]
     q, v, a, lam = (part[:, 0] for part in parts)
     derivatives = tuple(part[:, 1:].swapaxes(1, 2) for part in parts if states.shape[2] > 1)

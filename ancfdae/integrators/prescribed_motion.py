@@ -117,7 +117,10 @@ class TriedOver(Exception):
 class Watch:
     """Checks recorded states of a run, each once, and cuts the run back to its last right state."""
 
-    def __init__(self, system: MechanicalSystem, recorder: SolutionRecorder) -> None:
+    def __init__(
+        self, system: MechanicalSystem, recorder: SolutionRecorder, weighed: bool = False
+    ) -> None:
+        """Check the states of a recorder; those that are `weighed` are known to have mass."""
         self._system, self._recorder = system, recorder
         self._right = max(recorder.instants, 1)
         self._linear = system.traits.linear_constraints or not system.n_lam
@@ -125,7 +128,7 @@ class Watch:
         self._driven = system.n_lam == system.n_q
         self._routed = system.traits.routed
         self._left_out = system.left_out() if system.traits.leaves_out else ()
-        self._inert = system.traits.constant_mass
+        self._inert = weighed or system.traits.constant_mass
         self._changes: Changes | None = None
 
     def missed(self, all_of_them: bool = False) -> Lost | None:
@@ -178,10 +181,9 @@ class Watch:
         if gone is not None:
             first, what = gone
             rows = Rows(*(x[:first] for x in rows))
-        lighter = None if self._inert else indefinite(self._system, rows)
+        lighter = None if self._inert else lost_mass(self._system, rows)
         if lighter is not None:
-            t = rows.t[lighter]
-            return Lost(lighter - 1, Verdict.INDEFINITE, _LIGHTER.format(t))
+            return lighter
         t, q, _ = rows
         found = self._system.off_root(t[1:], q[1:])
         end = len(t) - 1 if found is None else found[0]
@@ -408,6 +410,14 @@ def _half_a_turn(system: MechanicalSystem, joint: str, begin: float, end: float)
 _NEGATIVE = -1e-10
 # Most entries of matrices that are examined together.
 _ENTRIES = 2**20
+
+
+def lost_mass(system: MechanicalSystem, rows: Rows) -> Lost | None:
+    """Return the first step between `rows` over which M ceases to be positive definite, or None."""
+    lighter = indefinite(system, rows)
+    if lighter is None:
+        return None
+    return Lost(lighter - 1, Verdict.INDEFINITE, _LIGHTER.format(rows.t[lighter]))
 
 
 def indefinite(system: MechanicalSystem, rows: Rows) -> int | None:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ancfdae import DOP853, HHT, Radau, simulate
+from ancfdae import DOP853, HHT, IDA, Radau, simulate
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.extend import FormulaSystem
 from ancfdae.integrators import prescribed_motion
@@ -77,6 +77,37 @@ def test_a_negative_mass_that_a_heavier_one_carries_is_permitted(integrator):
     run = simulate(Beads(), 1.5, integrator)
     assert run.outcome.success
     assert run.q[-1, 1] < -0.1
+
+
+class Coasting(Vanishing):
+    """(1 - q) q'' = 0 with q'(0) = 1: the uniform motion satisfies this also beyond q = 1."""
+
+    def start(self):
+        return 0 * self.b, 1 + 0 * self.b
+
+    def mass_matrix(self, q):
+        return np.array([[1 - q[0]]])
+
+    def force(self, t, q, v):
+        return 0 * q
+
+
+@pytest.mark.parametrize("integrator", [HHT(rtol=1e-5), Radau(rtol=1e-3), Radau(rtol=1e-7)])
+def test_steps_under_error_control_end_at_the_time_at_which_the_mass_is_zero(integrator):
+    """No error of the motion makes steps shorter there: a step ended at t = 0.5 before."""
+    run = simulate(Coasting(), 2.0, integrator)
+    assert run.outcome.verdict is Verdict.INDEFINITE
+    assert run.outcome.time == pytest.approx(1.0, abs=1e-11)
+    assert (run.q < 1).all()
+    assert run.statistics.steps < 60
+
+
+def test_ida_keeps_the_output_times_before_the_mass_is_zero():
+    """A step passes over t = 1; output times from 0.59 on, before it, were lost."""
+    run = simulate(Coasting(), 2.0, IDA(1e-8))
+    assert not run.outcome.success
+    assert 0.98 < run.outcome.time < 1.0
+    assert run.q[:, 0] == pytest.approx(run.t, rel=1e-6)
 
 
 def rows(*second):

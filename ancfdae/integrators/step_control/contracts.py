@@ -38,7 +38,14 @@ from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import ContactRecord
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import RunOutcome, Verdict
-from ancfdae.integrators.prescribed_motion import Lost, TriedOver, Watch, half_a_turn_off, lock
+from ancfdae.integrators.prescribed_motion import (
+    Lost,
+    TriedOver,
+    Watch,
+    half_a_turn_off,
+    lock,
+    lost_mass,
+)
 from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.recorder import Rows, SolutionRecorder
 from ancfdae.kernels import March
@@ -411,7 +418,9 @@ def march(
     """
     if not before:
         recorder.record(*method.consistent())
-    watch, lost = Watch(method.system, recorder), None
+    # `_lost` checks the mass matrix of steps under control.
+    controlled = isinstance(controller, ErrorController)
+    watch, lost = Watch(method.system, recorder, controlled), None
     # Steps under control are shorter where they would pass over a contact.
     contacts = method.system.contacts()
     path = deque(before or [NOWHERE], maxlen=1 + BACK)
@@ -547,17 +556,20 @@ def _lost(
 ) -> Lost | None:
     """Return the first of the states `rows` that a step under error control must not reach.
 
-    It stands half a turn off the root of a driven joint, left a guide or a pulley, or was reached
-    over a contact that no state sees.
+    It stands half a turn off the root of a driven joint, has a mass matrix that is not positive
+    definite, left a guide or a pulley, or was reached over a contact that no state sees.
     """
     found, lost = system.off_root(rows.t, rows.q), None
     if found is not None:
         begin = float(before.t[-1])
         lost = Lost(found[0], Verdict.OFF_ROOT, half_a_turn_off(system, begin, rows.t, rows.q))
-    routed = system.traits.routed
-    if not len(rows.t) or not (routed or contacts):
+    routed, inert = system.traits.routed, system.traits.constant_mass
+    if not len(rows.t) or (inert and not (routed or contacts)):
         return lost
-    path = tuple(map(np.concatenate, zip(before, rows, strict=True)))
+    path = Rows(*map(np.concatenate, zip(before, rows, strict=True)))
+    lighter = None if inert else lost_mass(system, path)
+    if lighter is not None and (lost is None or lighter.first <= lost.first):
+        lost = lighter
     off = system.off_route(*path) if routed else None
     if off is not None and (lost is None or off[0] <= lost.first):
         lost = Lost(max(off[0] - 1, 0), Verdict.OFF_ROUTE, f"The next step {off[1]}.")

@@ -318,9 +318,11 @@ class HHTRuns(FixedStepRuns):
 
         Extrapolation leaves a small part of these errors.
         """
-        allowed = self._tolerance / (_EXTRAPOLATED * self._whole) if self._whole > 0 else math.inf
+        whole = self._whole
+        if whole == math.inf:  # Without derivatives the effect on the values is known.
+            whole = self.relative(self.whole, self.samples[-1].vectors)
         turned = max(x.turned(self._t_end, self._taken) for x in self._damped)
-        return self._taken * math.sqrt(turned / allowed)
+        return self._taken * math.sqrt(turned * _EXTRAPOLATED * whole / self._tolerance)
 
     @property
     def left(self) -> float:

@@ -18,7 +18,7 @@ from ancfdae.integrators.explicit import DOP853
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.radau.method import Radau
 from ancfdae.numerics.arrays import Array
-from ancfdae.studies.accuracy.bars import HIGH_GRANTED, Estimate, spread, tightened
+from ancfdae.studies.accuracy.bars import HIGH_GRANTED, Estimate, falls, refined, spread, tightened
 from ancfdae.studies.accuracy.hht_runs import HHTRuns
 from ancfdae.studies.accuracy.places import Places
 from ancfdae.studies.accuracy.runs import (
@@ -66,7 +66,16 @@ class RadauRuns(FixedStepRuns):
         return self._seer.lost if self._seer.resolved else self._seer.whole
 
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
-        """Return the error estimate of a result vector; without an order if stiff motions fade."""
+        """Return the error estimate of a result vector; without an order if stiff motions fade.
+
+        Velocities and reactions over time have lower orders than the motion: an order of values
+        over time is used only if three runs show it.
+        """
+        if self._seer.resolved and self._wanted.along:
+            steps, differences = self.counts[-3:], np.diff(runs[-3:], axis=0)
+            sizes = np.linalg.norm(differences, axis=1)
+            seen = len(runs) > 2 and falls(sizes, steps, self.order, faster=True)
+            return refined(runs[-3:], steps, self.order, seen and not self.bent, True)
         if self._seer.resolved:
             return super()._estimate(runs)
         return Estimate(runs[-1], _OF_FADING * spread(runs[-1] - runs[-2], self._wanted.along))

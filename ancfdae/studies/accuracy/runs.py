@@ -103,16 +103,15 @@ class Prices(NamedTuple):
         """Return the costs for a scene, for lists of operations, or for functions of Python."""
         plan, n, traits = planned(system), system.n_q, system.traits
         if isinstance(plan, CalledPlan):
-            return Prices(360.0, 0.0, 2200.0, 280.0)
+            return Prices(360.0, 0.0, 2100.0, 280.0)
         if isinstance(plan, ListPlan):
-            return Prices(2.0 + 0.5 * n, 60.0, 220.0 + 5.0 * n, 3.0 + n)
-        moving, driven = len(plan.moving), plan.joint_factors is not None
-        radau = 100.0 + 4.5 * n + 0.055 * n**2 + 25.0 * moving + 700.0 * driven
-        evaluation = 10.0 + 0.17 * n
+            return Prices(2.0 + 0.5 * n, 60.0, 15.0 + 3.0 * n, 1.0 + 0.5 * n)
+        driven = plan.joint_factors is not None
+        radau = 30.0 + 3.0 * n + 0.055 * n**2 + 150.0 * driven
+        evaluation = 0.5 + 0.12 * n
         if not (traits.constant_mass and traits.constant_constraints):
-            evaluation = 35.0 + 0.5 * n
-        evaluation += 12.0 * moving + 130.0 * driven
-        return Prices(4.0 + 0.5 * n, 45.0, radau, evaluation)
+            evaluation = 2.0 + 0.2 * n
+        return Prices(1.0 + 0.4 * n, 45.0, radau, evaluation + 22.0 * driven)
 
 
 class Runs(abc.ABC):
