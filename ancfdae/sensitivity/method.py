@@ -53,7 +53,7 @@ def require_differentiable(
     """Check that a run, (k,) times t and (k, n_q) q and v, has derivatives; `errors` are estimates.
 
     Raises InvalidInputError if a user's function is not analytic at one of the states, or if a
-    variable of the design opens a joint of which redundant equations are left out; warns with
+    variable of the design opens a joint of which redundant equations are left out. Warns with
     StabilityWarning if a step passes over a singular position, or if errors are large near one.
     """
     if system.called_functions or system.traits.rows_left_out:

@@ -61,11 +61,11 @@ def drop_redundant(scene: Scene) -> Scene:
 
     A closed chain of hinges in space holds some directions twice: of a planar four-bar with four
     `Revolute` joints three equations are redundant, of Bricard's mechanism one. Motion and design
-    derivatives do not depend on which of them are left out. There are none in a variable that opens
-    a joint of which an equation is left out, such as the length of one crank of a parallelogram
-    with three; gradients refuse it. Multipliers, and with them reactions, depend on the choice: in
-    rigid bodies no equation says how redundant joints share a force. A joint keeps its position as
-    long as directions of axes can be left out instead, and as the equations that stay are then
+    derivatives do not depend on which of them are left out. Gradients refuse a variable that opens
+    a joint of which an equation is left out: the motion has no derivative in the length of one
+    crank of a parallelogram with three. Multipliers, and with them reactions, depend on the choice:
+    in rigid bodies no equation says how redundant joints share a force. A joint keeps its position
+    as long as directions of axes can be left out instead, and as the equations that stay are then
     independent along the motion.
 
     Returns
