@@ -32,7 +32,7 @@ from ancfdae.events.perturbed import at_complex
 from ancfdae.events.phases import Beginning, Jump, Phase, PhasedRun
 from ancfdae.events.run import PhaseMarch
 from ancfdae.integrators.integrator import Integrator
-from ancfdae.integrators.step_control import PrescribedSteps
+from ancfdae.integrators.step_control import AdaptiveSteps, PrescribedSteps
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
@@ -77,12 +77,17 @@ class EventRun:
         require_flag("progress", progress)
         require_kind("integrator", integrator, (Integrator,), "For example HHT(step=0.01).")
         assert isinstance(integrator, Integrator)
-        if isinstance(integrator, SteppedIntegrator) and isinstance(
-            integrator.steps, PrescribedSteps
-        ):
+        steps = integrator.steps if isinstance(integrator, SteppedIntegrator) else None
+        if isinstance(steps, PrescribedSteps):
             rule = "must choose steps itself with events, or with t_end in the design"
             repair = "Give HHT(step=...) or HHT(rtol=...)."
-            raise InvalidInputError("integrator.steps", rule, repr(integrator.steps), repair)
+            raise InvalidInputError("integrator.steps", rule, repr(steps), repair)
+        if isinstance(steps, AdaptiveSteps) and steps.sensitivities:
+            rule = (
+                "must control errors of the motion alone with events, or with t_end in the design"
+            )
+            repair = "Leave out sensitivities=True, and compare with a smaller rtol."
+            raise InvalidInputError("integrator.steps", rule, repr(steps), repair)
         known = {START: ModeSystem(START, system.in_all_states(), require_events(events))}
         require_kind("modes", modes or {}, (Mapping,), 'For example {"closed": Mode(scene)}.')
         if START in (modes or {}):

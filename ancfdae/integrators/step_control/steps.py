@@ -461,8 +461,8 @@ class Pace:
     def _tell(self, t: float, h: float) -> None:
         self._told = True
         warnings.warn(
-            f"about {(self._t_end - t) / h:.2g} steps are to come, of {h:.2g} s each as the last "
-            f"ones: {self._remedy} Ctrl-C ends the run and keeps what is done.",
+            f"about {(self._t_end - t) / h:.2g} steps are to come if all are as short as the "
+            f"last ones, {h:.2g} s: {self._remedy} Ctrl-C ends the run and keeps what is done.",
             ManyStepsWarning,
             stacklevel=3,
         )
