@@ -150,7 +150,7 @@ def test_messages_name_the_end_time_where_there_are_no_events():
     with pytest.raises(InvalidInputError, match="t_end in the design"):
         gradient(scene, read, 0.6, HHT(PrescribedSteps((0.0, 0.3, 0.6))), design=["t_end"])
     along = HHT(AdaptiveSteps(1e-5, sensitivities=True))
-    with pytest.raises(InvalidInputError, match="of the motion alone.*t_end in the design"):
+    with pytest.raises(InvalidInputError, match=r"of the motion alone.*t_end in the design"):
         gradient(scene, read, 0.6, along, design=["body.mass", "t_end"])
     with pytest.raises(InvalidInputError, match="t_end in the design"):
         gradient(scene, read, 0.6, DOP853(1e-8), design=["t_end"], method=Adjoint())
