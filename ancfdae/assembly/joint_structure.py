@@ -18,7 +18,6 @@ from ancfdae.assembly.joint_input import FormulaTrace, JointInput
 from ancfdae.assembly.layout import JointLayout
 from ancfdae.assembly.naming import Vectors
 from ancfdae.kernels import ConstraintPlan, OperationList
-from ancfdae.model.joints.joint import FormulaJoint
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import SparsityPattern
 
@@ -91,19 +90,13 @@ class JointStructure:
         """Return the structure of joints whose vectors, in order, are `vectors`."""
         shapes, slots, layouts = list[_Shape](), [], []
         known: dict[object, _Shape] = {}
-        recorded: dict[object, tuple[OperationList, ...]] = {}
         for item in inputs:
             shape = None if item.reference_b else known.get(item.kind)
             if shape is None:
                 c, count = item.structure(), item.input_count
                 linear, products = np.nonzero(c.linear), np.nonzero(np.triu(c.bilinear))
                 entries = len(item.reference), len(linear[0]), len(products[0]), len(c.offset)
-                form = type(item.joint), item.reference.shape, len(item.p)
-                lists = recorded.get(form, ()) if count else ()
-                if count and not lists:
-                    lists = FormulaTrace(item).lists()
-                    if isinstance(item.joint, FormulaJoint) and item.joint.alike:
-                        recorded[form] = lists
+                lists = FormulaTrace(item).lists() if count else ()
                 shape = _Shape(linear, products, lists, (*entries, len(item.parts) - 1, count))
             shapes.append(shape)
             known[item.kind] = shape

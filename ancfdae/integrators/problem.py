@@ -216,7 +216,12 @@ class CompiledAccelerations(Accelerations):
         self._made: dict[bool, ListAccelerations | SceneAccelerations] = {}
 
     def rows(self, t: float, q: Array, v: Array) -> Array:
-        """Return a row (a, lam), (n_q + n_lam,), above a row of derivatives per variable."""
+        """Return a row (a, lam), (n_q + n_lam,), above a row of derivatives per variable.
+
+        Complex states, as of complex steps of an integrator, are solved in Python.
+        """
+        if np.iscomplexobj(q) or np.iscomplexobj(v):
+            return super().rows(t, q, v)
         return only(self.rows_of(np.array([t]), np.stack([q, v])[None]))
 
     def rows_of(self, t: Array, states: Array) -> Array:

@@ -192,6 +192,7 @@ class SteppedIntegrator(AdjointIntegrator):
         progress: bool,
     ) -> Solution:
         steps, started = self.steps, time.perf_counter()
+        steps.count(t_end)  # Refuses an end that the steps do not reach, before anything else.
         along = self._derivatives_along(system)
         # Such a run cannot be continued with other neighbours.
         system = system.in_all_states() if along else system

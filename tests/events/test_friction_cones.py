@@ -388,12 +388,13 @@ def test_box_that_stays_on_two_corners_ends_with_the_repair(turned, law):
 
 @pytest.mark.parametrize("mu", [3.0, 0.1])
 def test_derivative_in_a_restitution_of_zero_is_that_of_a_small_one(mu):
-    # Without weight, so that the corners open again.
+    # Without weight, so that the corners open again. At e = 0 round-off decides whether they do:
+    # Radau(3e-3) ends in words there.
     found, bounce = [], design_value("bounce.position_x")
     for e in (0.0, 1e-7):
         scale = RigidBody("bounce", (e, 0, 0), mass=1.0, inertia=(1.0, 1.0, 1.0))
         scene, events = tilted_box(mu, ImpactLaw.POISSON, e=bounce, g=0.0, others=[scale])
-        run = differentiate(scene, 9e-3, Radau(3e-3), design=["bounce.position_x"], events=events)
+        run = differentiate(scene, 9e-3, HHT(1e-3), design=["bounce.position_x"], events=events)
         pair = sorted(run.events[:2], key=lambda x: x.name)
         # Of the friction of two contacts that stick only the sum is unique.
         found.append([

@@ -27,8 +27,8 @@ from ancfdae import (
 )
 from ancfdae.observables import elapsed_time, load_power, observe, position
 from ancfdae.results import Verdict
-from tests.physics.test_self_contact import clash
 from tests.support.contacts import agree
+from tests.support.touching_lines import clash
 
 LAW = {"restitution": 0.9, "impact_speed": 3.0}
 

@@ -271,9 +271,6 @@ class FormulaJoint(Joint):
 
     #: Number of equations.
     equation_count: ClassVar[int] = 1
-    #: Whether joints of the class have the same formulas if they have as many vectors and
-    #: parameters; these are then recorded once for a scene.
-    alike: ClassVar[bool] = False
 
     @abc.abstractmethod
     def equations(self, U: Array, p: Array, reference: Array, laws: Array) -> Any:

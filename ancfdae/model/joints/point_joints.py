@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, final
+from typing import final
+
+import numpy as np
 
 from ancfdae.errors.checks import require_direction, require_positive, require_vector
 from ancfdae.model.bodies import MaterialPoint
@@ -18,7 +20,6 @@ from ancfdae.model.joints.frames import (
 )
 from ancfdae.model.joints.joint import (
     SECTION,
-    FormulaJoint,
     Joint,
     JointEquations,
     Travelling,
@@ -206,7 +207,7 @@ Spherical = Pin
 
 @final
 @dataclass(frozen=True)
-class Distance(FormulaJoint):
+class Distance(Joint):
     """Keep two points, or a point and the ground, at a distance.
 
     (|r(point) - r(other)|^2 / L - L) / 2 = 0; its multiplier is the force in the link, positive in
@@ -232,16 +233,17 @@ class Distance(FormulaJoint):
     stroke = Stroke.LINK
     design_fields = (("length", require_positive), ("ground", require_vector))
     needs_other_end = True
-    alike = True
 
-    def equations(self, U: Array, p: Array, reference: Array, laws: Array) -> list[Any]:
-        """Return (|U_0 - U_1|^2 / L - L) / 2, by differences of places that may be far away.
-
-        Products of the places themselves, which coefficients would take, lose |U|^2 eps.
-        """
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
+        """Return the coefficients of (|U_0 - U_1|^2 / L - L) / 2 = 0."""
+        n, c = len(reference), empty_equations(1, p, reference)
         L, ground = self.split(p)
-        r = U[0] - (U[1] if ground is None else ground)
-        return [(r @ r / L - L) / 2]
+        c.bilinear[0] = np.array([[1, -1], [-1, 1]])[:n, :n] / L
+        c.offset[0] = L / 2
+        if ground is not None:
+            c.linear[0, 0] = -ground / L
+            c.offset[0] -= np.sum(ground * ground) / (2 * L)
+        return c
 
 
 @final
