@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple, final
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.saddle_points import saddle_point, solve
@@ -367,7 +367,7 @@ def uncoupled(
     rough = [i for i, x in enumerate(impacts) for _ in x.lines]
     for row, i in enumerate(rough, len(impacts)):
         coupled[row, i] = True
-    _, group = connected_components(coupled, directed=False)
+    _, group = scipy.sparse.csgraph.connected_components(coupled, directed=False)
     return [
         tuple(x for x, own in zip(impacts, group, strict=False) if own == which)
         for which in dict.fromkeys(group[: len(impacts)].tolist())

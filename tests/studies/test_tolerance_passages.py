@@ -18,7 +18,7 @@ from ancfdae.studies.accuracy.places import Places, Witness
 from ancfdae.studies.accuracy.runs import Sample
 from ancfdae.studies.accuracy.search import _Spent, _wanted
 from ancfdae.studies.accuracy.waves import Wave
-from tests.studies.test_tolerance_places import Mass
+from tests.support.springs import Mass
 
 RADIUS = custom(lambda t, q, v, lam, b: q[:, 0], "radius")
 END = 2.0
