@@ -6,16 +6,9 @@ import pytest
 from ancfdae import (
     HHT,
     AdaptiveSteps,
-    Beam,
     Contact,
-    FollowerForce,
     InitialVelocity,
-    Material,
-    Pin,
-    PointForce,
     RigidBody,
-    RigidBox,
-    RotationDriver,
     Scene,
     Sphere,
     assemble,
@@ -25,35 +18,14 @@ from ancfdae.integrators.hht.equations import Coefficients
 from ancfdae.integrators.hht.step import HHTStepper
 from ancfdae.integrators.prescribed_motion import turn_error
 from ancfdae.integrators.step_control.contracts import Failure
-from ancfdae.laws import ConstantAcceleration, Harmonic, SmoothStep
 from ancfdae.results import Verdict
-from ancfdae.sections import Rectangle
-from tests.support.mechanisms import CartesianPendulum
+from tests.support.controlled_motions import (
+    called_pendulum,
+    driven_crank,
+    kicked_pendulum,
+    soft_pendulum,
+)
 from tests.support.one_by_one import OneByOne
-
-
-def soft_pendulum():
-    rod = Beam("rod", (0, 0), (1.2, 0), 2, Rectangle(0.05, 0.05), Material(4000, 1e7, 0.3, 2e-3))
-    return assemble(Scene([rod], [Pin(rod.at_start)], gravity=(0, -9.81)), ["rod.height"]), 0.25
-
-
-def driven_crank():
-    crank = RigidBody("crank", (0.1, 0), shape=RigidBox(0.2, 0.04, 0.02), density=2700.0)
-    rod = Beam("rod", (0.2, 0), (0.7, 0), 2, Rectangle(0.01, 0.02), Material(1150, 2e7, 0.4))
-    joints = [
-        Pin(crank.at(-0.1)),
-        RotationDriver(crank.at(-0.1), ConstantAcceleration(0.0, acceleration=200.0), name="motor"),
-        Pin(crank.at(0.1), rod.at_start),
-    ]
-    return assemble(Scene([rod], joints, (0, -9.81), bodies=[crank]), ["rod.height"]), 0.08
-
-
-def kicked_pendulum():
-    rod = Beam("rod", (0, 0), (1.2, 0), 2, Rectangle(0.05, 0.05), Material(4000, 1e7, 0.3, 2e-3))
-    kick = PointForce(rod.at_end, (0, 80.0), law=Harmonic(1.0, 25.0))
-    follower = FollowerForce(rod.at_end, (0, 5.0), law=SmoothStep(0.0, 1.0, duration=0.2))
-    scene = Scene([rod], [Pin(rod.at_start)], (0, -9.81), loads=[kick, follower])
-    return assemble(scene, ["rod.height"]), 0.25
 
 
 def thrown_ball():
@@ -63,10 +35,6 @@ def thrown_ball():
     touch = Contact(ball.at(0, 0, 0), obstacle, stiffness=1e6, radius=0.02, name="wall")
     start = [InitialVelocity("ball", (0, 0, 0), (0, 0, 0), (10.0, 0, 0))]
     return assemble(Scene([], [], bodies=[ball], loads=[touch], start=start), ["ball.mass"]), 0.2
-
-
-def called_pendulum():
-    return CartesianPendulum(0.7, 1.0), 1.0
 
 
 SYSTEMS = [soft_pendulum, driven_crank, kicked_pendulum, called_pendulum]

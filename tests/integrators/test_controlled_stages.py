@@ -27,7 +27,7 @@ from ancfdae.kernels import judge_step, plan_step
 from ancfdae.laws import ConstantAcceleration
 from ancfdae.results import Verdict
 from ancfdae.sections import Rectangle
-from tests.integrators.test_controlled_march import (
+from tests.support.controlled_motions import (
     called_pendulum,
     driven_crank,
     kicked_pendulum,
