@@ -222,7 +222,7 @@ class CompiledAccelerations(Accelerations):
         """
         if np.iscomplexobj(q) or np.iscomplexobj(v):
             return super().rows(t, q, v)
-        return only(self.rows_of(np.array([t]), np.stack([q, v])[None]))
+        return only(self.rows_of(np.array([t]), np.array([[q, v]])))
 
     def rows_of(self, t: Array, states: Array) -> Array:
         """Return `rows` of k states, (k, 2, rows, n_q), as (k, rows, n_q + n_lam)."""

@@ -576,7 +576,8 @@ template <class T>
 double at_rest(const Plan<T> *of, Room<T> *from, const T *of_loads, double tolerance)
 {
     auto [p, r, factors] = real_state(of, from, of_loads);
-    std::vector<double> left((size_t)p->n_q), values((size_t)p->nnz);
+    int known = p->own || p->n_moving; /* whether some f_q is not elastic */
+    std::vector<double> left((size_t)p->n_q), values(p->own || !known ? 0 : (size_t)p->nnz);
     if (p->own)
         p->own->force(factors[0], r->q, r->v, left.data());
     else
@@ -591,7 +592,7 @@ double at_rest(const Plan<T> *of, Room<T> *from, const T *of_loads, double toler
                            r->q, r->v, r->of_load, left.data());
     for (double &each : left)
         each *= tolerance;
-    for (int velocity = 0; velocity <= p->velocity; velocity++) {
+    for (int velocity = 0; known && velocity <= p->velocity; velocity++) {
         const double *x = velocity ? r->v : r->q, *f = velocity ? r->f_v : r->f_q;
         if (!p->own) {
             std::fill(values.begin(), values.end(), 0.0);
