@@ -142,9 +142,9 @@ class Formulas:
         self._made: dict[tuple[str, int], Array] = {}
         self._lists: dict[tuple[Any, ...], _List] = {}
         self.kind, self.called = type(system), dict[str, str]()
-        b = Traced.array(operations, self._at["b"])
+        symbols = {x: Traced.array(operations, self._at[x]) for x in "tqvb"}
         try:
-            moved, why = system.with_values(b), ""
+            moved, why = system.with_values(symbols["b"].copy()), ""
         except InvalidInputError:
             raise
         except TRACE_FAILURES as error:
@@ -153,9 +153,15 @@ class Formulas:
             raise InvalidInputError(f"{self.kind.__name__}.with_values", *FORGOTTEN)
         #: Whether the start may depend on b.
         self.moving_start = moved is None or _has_symbols(moved.start)
-        self._M = self._traced_or_called(system, moved, why, "mass_matrix", "q", (n, n))
-        self._Q = self._traced_or_called(system, moved, why, "force", "tqv", (n,))
-        self._Phi = self._traced_or_called(system, moved, why, "position_constraint", "tq", (m,))
+
+        def operations_of(name: str, inputs: str, shape: tuple[int, ...]) -> Array:
+            # Copies, because a formula may write to its arguments.
+            given = _arguments(inputs, [symbols[x].copy() for x in inputs])
+            return self._traced_or_called(system, moved, why, name, inputs, given, shape)
+
+        self._M = operations_of("mass_matrix", "q", (n, n))
+        self._Q = operations_of("force", "tqv", (n,))
+        self._Phi = operations_of("position_constraint", "tq", (m,))
         #: Sizes, operations, constants and roots of the formulas; None if they call functions.
         self.content = self._written()
 
@@ -167,14 +173,20 @@ class Formulas:
         return *self._ends, len(self._Phi), self.moving_start, self.root_lines, *lists
 
     def _traced_or_called(
-        self, system: Any, moved: Any, why: str, name: str, inputs: str, shape: tuple[int, ...]
+        self,
+        system: Any,
+        moved: Any,
+        why: str,
+        name: str,
+        inputs: str,
+        given: list[Any],
+        shape: tuple[int, ...],
     ) -> Array:
-        """Return operations of a value, of the given shape; a call if it cannot be traced.
+        """Return operations of a value of symbols, of the given shape; a call if it has none.
 
         `why` is the reason if no formula can be traced, else empty.
         """
         operations, where = self._operations, f"{self.kind.__name__}.{name}"
-        given = _arguments(inputs, [Traced.array(operations, self._at[x]) for x in inputs])
         try:
             if why:
                 raise NotTraceable(why)
@@ -261,8 +273,8 @@ class Formulas:
         return (np.array(list(self._operations.roots), dtype=np.int64),)
 
     @property
-    def root_lines(self) -> tuple[str, ...]:
-        """Lines of the user's code that contain the square roots."""
+    def root_lines(self) -> tuple[tuple[str, int], ...]:
+        """Files and lines of the user's code that contain the square roots; see `line_of`."""
         return tuple(self._operations.roots.values())
 
     def mass_along(self) -> tuple[Array, ...]:

@@ -141,9 +141,14 @@ def require_vectorised(where: str, rows: Callable[[slice], Array], count: int) -
     if y.shape != (count,) or y.dtype.kind not in "iufc":
         got = f"shape {y.shape} and type {y.dtype}"
         raise InvalidInputError(where, f"must return numbers of shape ({count},)", got, repair)
-    if last.shape != (1,) or not np.allclose(last[0], y[-1], rtol=1e-9, atol=0, equal_nan=True):
+    if last.shape != (1,) or not _same(last[0], y[-1]):
         got = "a value that depends on the other instants"
         raise InvalidInputError(where, "must work instant by instant", got, repair)
+
+
+def _same(x: Any, y: Any) -> bool:
+    """Return whether two numbers of NumPy agree to 1e-9, are one infinity, or are both NaN."""
+    return bool(x == y or abs(x - y) <= 1e-9 * abs(y) < np.inf or (x != x and y != y))
 
 
 # -- expressions -------------------------------------------------------------------------------
