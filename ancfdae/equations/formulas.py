@@ -215,7 +215,7 @@ class Formulas:
             out = np.repeat(out[None], rows, axis=0)
         lead = out.shape[:-1]
         if len(made.shapes) == 1:
-            return [out.reshape(*lead, *made.shapes[0])]
+            return [out if len(made.shapes[0]) == 1 else out.reshape(*lead, *made.shapes[0])]
         pairs = zip(made.places, made.shapes, strict=True)
         return [out[..., i].reshape(*lead, *shape) for i, shape in pairs]
 

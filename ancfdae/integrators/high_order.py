@@ -216,9 +216,10 @@ class HighOrder(QuadratureIntegrator):
         Given `intervals` are kept. A prescribed motion keeps the default number of intervals,
         because it is checked from one output time to the next.
         """
+        if self.intervals or system.n_lam == system.n_q:
+            return self
         times = np.linspace(0.0, t_end, INTERVALS + 1)
-        prescribed = system.n_lam == system.n_q
-        if self.intervals or prescribed or is_driven(system, times, system.start()[0].real):
+        if is_driven(system, times, system.start()[0].real):
             return self
         return replace(self, intervals=_FEW)
 

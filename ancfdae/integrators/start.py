@@ -426,14 +426,16 @@ def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float)
     squared = values.real**2 / system.weights[pattern.columns]
     rows = np.sqrt(np.bincount(pattern.rows, squared, minlength=system.n_lam))
     rows = np.where(rows > 0, rows, 1.0)
-    asked = np.max(np.abs(acceleration_side(system, t, q, v).real) / rows, initial=0.0)
-    place = norm(q, system.weights)
-    speed = max(norm(v, system.weights), float(np.sqrt(place * asked)))
+    place, phi_rate = norm(q, system.weights), system.constraint(t, q, v)
+    speed = norm(v, system.weights)
+    if np.any(np.abs(phi_rate) > _CONSISTENT * speed * rows) or np.iscomplexobj(phi_rate):
+        asked = np.max(np.abs(acceleration_side(system, t, q, v).real) / rows, initial=0.0)
+        speed = max(speed, float(np.sqrt(place * asked)))
     # The size of a body is as good a measure of its coordinates as their distance from the
     # origin; |q| in the norm of M contains both.
     for what, phi, size in (
         ("positions", system.constraint(t, q), place),
-        ("velocities", system.constraint(t, q, v), speed),
+        ("velocities", phi_rate, speed),
     ):
         ratio = np.abs(phi.real) / rows
         if system.n_lam and np.any(ratio > _CONSISTENT * size):

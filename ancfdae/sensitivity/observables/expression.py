@@ -127,10 +127,11 @@ def analytic(ufunc: np.ufunc, method: str = "__call__", plain: bool = True) -> F
     return _FUNCTIONS[ufunc]
 
 
-def require_vectorised(where: str, rows: Callable[[slice], Array], count: int) -> None:
-    """Raise InvalidInputError unless a function works on arrays, each time point by itself.
+def require_vectorised(where: str, rows: Callable[[slice], Array], count: int) -> Array:
+    """Return the values of a function at `count` time points, (count,).
 
-    `rows` returns its values at a slice of the `count` time points.
+    `rows` returns them at a slice of the time points. Raises InvalidInputError unless the function
+    works on arrays, each time point by itself.
     """
     repair = "Return one number per instant, from that instant alone."
     try:
@@ -144,6 +145,7 @@ def require_vectorised(where: str, rows: Callable[[slice], Array], count: int) -
     if last.shape != (1,) or not _same(last[0], y[-1]):
         got = "a value that depends on the other instants"
         raise InvalidInputError(where, "must work instant by instant", got, repair)
+    return y
 
 
 def _same(x: Any, y: Any) -> bool:
