@@ -292,8 +292,8 @@ class LoadForces:
         self.touching = [load for load in self._moving if load.item.load.touches]  # contacts
         # Whether a load depends on positions or velocities.
         self.moving = len(self._moving) > 0
-        # Loads whose force may be infinite in some states: not those of the package that are
-        # smooth, nor contacts.
+        # Loads whose force may be infinite in some states. Smooth loads of the package and contacts
+        # are finite.
         loads = [load.item for load in self._moving]
         self.dividing = [x for x in loads if x.load.sharp and not x.load.touches]
         self._steady = np.zeros(self._n_q)
