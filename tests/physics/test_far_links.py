@@ -3,10 +3,23 @@
 Products of coordinates themselves would lose the square of the place times the round-off.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from ancfdae import DOP853, HHT, Distance, Pin, Radau, RigidBody, Scene, Terminal, gradient
+from ancfdae import (
+    DOP853,
+    HHT,
+    Distance,
+    Pin,
+    Radau,
+    RigidBody,
+    Scene,
+    Terminal,
+    assemble,
+    gradient,
+)
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.observables import position
 
@@ -42,3 +55,17 @@ def test_a_linkage_far_away_has_the_derivatives_of_one_at_the_origin(
     bound = max(1e-12 * place, 1e-6)
     np.testing.assert_allclose(found[1][0], found[0][0], rtol=0, atol=bound)
     np.testing.assert_allclose(found[1][1], found[0][1], rtol=0, atol=10 * bound)
+
+
+@pytest.mark.parametrize("place", [1e3, 1e5])
+def test_an_open_linkage_far_away_closes_as_one_at_the_origin(place: float) -> None:
+    """The rod is declared 0.1 too short; `assemble` moves the bodies until both links close."""
+    starts = []
+    for at in (0.0, place):
+        scene = linkage(at, True)
+        joints = [replace(x, length=1.1) if x.name == "rod" else x for x in scene.joints]
+        system = assemble(replace(scene, joints=joints, assemble=True))
+        q = system.start()[0]
+        assert np.max(np.abs(system.constraint(0.0, q))) < 1e-15 * max(at, 10.0)
+        starts.append(q.reshape(2, -1, 2)[:, 0] - np.array([at, -at]))
+    np.testing.assert_allclose(starts[1], starts[0], rtol=0, atol=1e-14 * place)
