@@ -96,7 +96,7 @@ class AncfSystem(PlannedSystem):
         self.constraint_names, self.reach = structure.constraint_names, structure.reach
         self.controllers = tuple(each.name for each in structure.numbering.controllers)
         self.inputs, self.weights = geometry.inputs, numbers.inertia.weights
-        self.traits = self._described()
+        self.traits, self.divides = self._described(), len(self._loads.dividing) > 0
 
     @cached_property
     def energies(self) -> Energies:
@@ -516,6 +516,10 @@ class AncfSystem(PlannedSystem):
                 off = load.load.off_route(t, U, V, load.p.real, load.reference.real)
                 found += [] if off is None else [off]
         return min(found, default=None)
+
+    def divisors(self, t: Array, q: Array, v: Array) -> dict[str, Array]:
+        """Return the divisors in formulas of loads in k states, (k, n) by the name of the load."""
+        return {f"load {x.load.name!r}": x.divisors(t, q, v) for x in self._loads.dividing}
 
     def turn_rate(self, t: Array) -> Array:
         """Return the largest rate of the prescribed angles at times t; rad/s."""

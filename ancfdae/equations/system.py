@@ -191,6 +191,8 @@ class MechanicalSystem(ComplexSteps):
     has_loops: bool = True
     #: Whether Phi is known not to depend explicitly on time.
     scleronomic: bool = False
+    #: Whether formulas may be infinite where `divisors` vanish, so that runs call this method.
+    divides: bool = False
 
     @cached_property
     def pattern(self) -> SparsityPattern:
@@ -411,6 +413,14 @@ class MechanicalSystem(ComplexSteps):
         stay on their routes.
         """
         return None
+
+    def divisors(self, t: Array, q: Array, v: Array) -> dict[str, Array]:
+        """Return the divisors in formulas in k states, (k, n) by the name of the formula.
+
+        Products are given by their factors, and powers and roots by their bases. A formula may be
+        infinite where one of them vanishes.
+        """
+        return {}
 
     def turn_rate(self, t: Array) -> Array:
         """Return the largest rate at which constraints prescribe an angle at t, (k,); rad/s."""

@@ -25,6 +25,7 @@ class Verdict(Enum):
     EQUILIBRIUM = "the equilibrium was reached"
     FOLDED = "elements are folded"
     OFF_ROUTE = "a guide is beyond the end of its beam, or a rope off its pulley"
+    POLE = "the next step passes over a pole of the equations"
     INDEFINITE = "the mass matrix ceases to be positive definite"
     MISSED_CONTACT = "the steps do not resolve a contact"
     LEFT_OUT = "bodies touch that a contact load leaves out"

@@ -104,6 +104,8 @@ EPS = float(np.finfo(float).eps)
 # Number of operations in an entry of K and a product with it, with a margin: a value below this
 # many units of round-off of its terms counts as zero.
 ROUND_OFF = 64
+# Factors by which the change of a singular F(z) is raised until F(z) can be factorised.
+_RAISED = (1.0, 1e3, 1e6)
 
 
 @final
@@ -241,15 +243,22 @@ class Linearised:
     def factor_beside(self, z: complex) -> tuple[Factorization, bool]:
         """Return the factors of F(z) for inverse iteration, and whether F(z) was singular.
 
-        A singular F(z) is factorised with its diagonal changed by round-off.
+        A singular F(z) is factorised as F(z) + dz F'(z), which has the same shape at z: F x = 0
+        makes y = x / dz solve (F + dz F') y = F' x. The change is round-off of F; where damping is
+        large that may be too small for a shape, and is raised.
         """
         F = self.matrix(z)
         try:
             return self.saddle.factor(F, self.Phi_q), False
         except SingularMatrix:
-            moved, size = F.copy(), max(self.size, self.largest(F))
-            moved[self.system.pattern.diagonal] += ROUND_OFF * EPS * size * self.system.weights
-            return self.saddle.factor(moved, self.Phi_q), True
+            slope, size = self.slope(z), max(self.size, self.largest(F))
+            change = ROUND_OFF * EPS * size / self.largest(slope) * slope
+        for times in _RAISED:
+            try:
+                return self.saddle.factor(F + times * change, self.Phi_q), True
+            except SingularMatrix as error:
+                singular = error
+        raise singular
 
     @cached_property
     def size(self) -> float:
