@@ -60,11 +60,13 @@ from ancfdae.studies.parts import instants
 
 # Largest cost of a search, microseconds.
 _MOST = 4e7
-# Cost, microseconds, after which the path of HHT-I3 is searched for sharp places, which may explain
-# why no run is accurate enough.
+# Cost, microseconds, after which the path of HHT-I3 is searched for sharp places, and runs for
+# round-off, which may explain why no run is accurate enough.
 _EARLY = 5e5
 # Most restarts of the sequences because runs passed over sharp places of their paths.
 _LOOKS = 12
+# Largest effect of round-off, over the tolerance, on a result that counts as reached.
+_NOISE = 0.5
 # Largest cost of HHT runs, over the predicted cost, that are made because they may show that less
 # is needed.
 _WORTH = 0.1
@@ -184,6 +186,8 @@ def _search(
         if best.error <= tolerance:
             places = witness.of(best.samples[-1].run, best.chosen)
             if best.follows(places):
+                if _noise(best) > _NOISE * tolerance:
+                    return _lost_in_noise(spent, best, _noise(best))
                 break
             if looks == _LOOKS:
                 return _passed_over(spent, best, places.words)
@@ -207,6 +211,9 @@ def _search(
                     each.mind(early)
                 continue
         sample = spent.take(runs, measure)
+        if best.estimates and sample.vectors and spent.work > _EARLY and _noise(runs) > tolerance:
+            # Finer runs have more of it.
+            return _lost_in_noise(spent, best, _noise(runs))
         if runs.stops_there and runs.samples and looks < _LOOKS:
             places = witness.of(runs.samples[-1].run, runs.chosen)
             if not runs.follows(places):
@@ -237,6 +244,22 @@ def _passed_over(spent: _Spent, best: Runs, why: str) -> Found:
     """Return estimates with infinite bars: no run resolved the sharp places of its path."""
     unknown = [Estimate(x, np.full(x.shape, np.inf)) for x, _ in best.estimates]
     return _found(spent, best, unknown, False, f"{why}.")
+
+
+def _noise(runs: Runs) -> float:
+    """Return the relative change of the wanted vectors by round-off of the last run."""
+    return runs.relative(runs.noise, runs.samples[-1].vectors)
+
+
+def _lost_in_noise(spent: _Spent, best: Runs, noise: float) -> Found:
+    """Return estimates whose bars hold the round-off of the states, as if all steps added to it."""
+    steps, pairs = best.samples[-1].steps, zip(best.estimates, best.noise, strict=True)
+    estimates = [Estimate(x, bar + steps * np.abs(more)) for (x, bar), more in pairs]
+    why = (
+        f"round-off of coordinates changes the result by about {noise:.1g} of its size; bars hold "
+        "that. It is relative to itself: add a size that matters, for example 1 + x for x near 0."
+    )
+    return _found(spent, best, estimates, False, why)
 
 
 # -- gradients ---------------------------------------------------------------------------------
