@@ -65,8 +65,9 @@ _MOST = 4e7
 _EARLY = 5e5
 # Most restarts of the sequences because runs passed over sharp places of their paths.
 _LOOKS = 12
-# Largest effect of round-off, over the tolerance, on a result that counts as reached.
-_NOISE = 0.5
+# Largest effect of round-off, over the tolerance, on a result that counts as reached. A relative
+# effect of _ALL or more is one on a number that the runs have not met yet.
+_NOISE, _ALL = 0.5, 1e3
 # Largest cost of HHT runs, over the predicted cost, that are made because they may show that less
 # is needed.
 _WORTH = 0.1
@@ -186,8 +187,8 @@ def _search(
         if best.error <= tolerance:
             places = witness.of(best.samples[-1].run, best.chosen)
             if best.follows(places):
-                if _noise(best) > _NOISE * tolerance:
-                    return _lost_in_noise(spent, best, _noise(best))
+                if (noise := _noise(best, best)) > _NOISE * tolerance:
+                    return _lost_in_noise(spent, best, noise)
                 break
             if looks == _LOOKS:
                 return _passed_over(spent, best, places.words)
@@ -211,9 +212,9 @@ def _search(
                     each.mind(early)
                 continue
         sample = spent.take(runs, measure)
-        if best.estimates and sample.vectors and spent.work > _EARLY and _noise(runs) > tolerance:
-            # Finer runs have more of it.
-            return _lost_in_noise(spent, best, _noise(runs))
+        late = best.estimates and sample.vectors and spent.work > _EARLY
+        if late and tolerance < (noise := _noise(runs, best)) < _ALL:
+            return _lost_in_noise(spent, best, noise)  # Finer runs have more of it.
         if runs.stops_there and runs.samples and looks < _LOOKS:
             places = witness.of(runs.samples[-1].run, runs.chosen)
             if not runs.follows(places):
@@ -246,9 +247,9 @@ def _passed_over(spent: _Spent, best: Runs, why: str) -> Found:
     return _found(spent, best, unknown, False, f"{why}.")
 
 
-def _noise(runs: Runs) -> float:
-    """Return the relative change of the wanted vectors by round-off of the last run."""
-    return runs.relative(runs.noise, runs.samples[-1].vectors)
+def _noise(runs: Runs, best: Runs) -> float:
+    """Return the change by round-off of the last of `runs`, relative to the best estimates."""
+    return runs.relative(runs.noise, [x for x, _ in best.estimates])
 
 
 def _lost_in_noise(spent: _Spent, best: Runs, noise: float) -> Found:
