@@ -401,7 +401,7 @@ _LEAST_SHARE = 0.3
 _HUNDREDS = 20
 # A run creeps if it would need more than _CREEP times `max_steps` at the mean pace of so many
 # hundreds of steps.
-_CREEPING, _CREEP = 50, 1000
+_CREEPING, _CREEP = 50, 100
 
 
 @final
@@ -411,7 +411,7 @@ class Pace:
     It warns once, with the `remedy`, if twenty hundreds of steps predict more than `many` steps; if
     the solver is `sure` of its first steps, the first hundred suffices. Short steps around a kick,
     at a start from rest, or where round-off disturbs some, do not predict the number of later
-    steps. A run ends if the last 5,000 steps predict more than 1000 times `max_steps`; `advice`
+    steps. A run ends if the last 5,000 steps predict more than 100 times `max_steps`; `advice`
     then tells in words how far these steps came and what to do.
     """
 
