@@ -17,6 +17,7 @@ class Verdict(Enum):
     INTERRUPTED = "the run was interrupted"
     STEP_LIMIT = "the limit of steps (max_steps) was reached"
     ERROR_TEST = "no step, however small, passed the error test"
+    STEPS_TOO_SHORT = "the steps became too short to reach the end time"
     OFF_ROOT = "a step ended at another solution of the joints than the motion leads to"
     TOO_ACCURATE = "the tolerance is below what round-off allows"
     EVENTS_ACCUMULATE = "events follow each other without a time between them"
