@@ -82,6 +82,9 @@ def modes(
     counted by Sylvester's law of inertia. Large damped systems (more than 120 independent motions
     and 3 `count` + 40) are searched for real exponents near their undamped frequencies only.
 
+    With controllers the exponents are the poles of the closed loop, about their states in `at`. A
+    shape x e^{st} holds the states' integrals, so that the states of a mode are s times their rows.
+
     Parameters
     ----------
     count : int

@@ -54,7 +54,8 @@ def equilibrium(
 
     The search follows the path of equilibria from the start of the model while the load increases;
     a mechanism with no stiffness but gravity is solved under the full load by pseudo-transient
-    continuation (docs/theory/11-statics.md).
+    continuation (docs/theory/11-statics.md). States of controllers are unknowns, too
+    (docs/theory/17-controllers.md), and stand in the velocities of the result's `solution`.
 
     Parameters
     ----------
