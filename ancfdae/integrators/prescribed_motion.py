@@ -21,6 +21,7 @@ import numpy as np
 import scipy
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.saddle_points import OPENED
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.branch import (
     APART,
@@ -184,6 +185,11 @@ class Watch:
         over = passed_pole(self._system, rows) if self._system.divides else None
         if over is not None:
             return Lost(over[0], Verdict.POLE, over[1])
+        if self._system.traits.rows_left_out:
+            opened = self._system.opened(rows.t[1:], rows.q[1:])
+            if opened is not None:
+                words = f"At the end of the next step stands {opened[1]}. {OPENED}"
+                return Lost(opened[0], Verdict.OPENED, words)
         lighter = None if self._inert else lost_mass(self._system, rows)
         if lighter is not None:
             return lighter

@@ -111,6 +111,10 @@ class ControlledSystem(MechanicalSystem):
         """Return, by name, bodies of the base whose mesh is too coarse at q."""
         return self.base.coarse(q)
 
+    def opened(self, t: Array, q: Array) -> tuple[int, str] | None:
+        """Return the first of k states of the base that opens an equation left out."""
+        return self.base.opened(t, q)
+
     def contacts(self) -> ContactRecord | None:
         """Return a new record of the contacts of the base."""
         return self.base.contacts()
