@@ -414,6 +414,17 @@ class FormulaSystem(ListedSystem):
         """Return operations for accelerations, numbers of Q, M, Phi_q, Phi'', and of inputs."""
         return self._formulas.right_side()
 
+    @property
+    def divides(self) -> bool:  # type: ignore[override]  # computed where it is asked for
+        """Whether M, Q or Phi have divisors that depend on the state."""
+        return any(x.size for x in self._formulas.divisors())
+
+    def divisors(self, t: Array, q: Array, v: Array) -> dict[str, Array]:
+        """Return the divisors in M, Q and Phi in k states, (k, n) by the name of the method."""
+        at = {"t": t[:, None], "q": q, "v": v, "b": self.b.real}
+        found = self._formulas.values(Formulas.divisors, rows=len(t), **at)
+        return {name: x for (name, *_), x in zip(_FORMULAS, found, strict=True)}
+
     @cached_property
     def list_plan(self) -> ListPlan:
         """Operation lists with which a kernel evaluates the equations of motion in a time step."""

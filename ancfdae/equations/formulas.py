@@ -272,6 +272,15 @@ class Formulas:
         """Return the operations of the square roots in the formulas, as in `root_lines`."""
         return (np.array(list(self._operations.roots), dtype=np.int64),)
 
+    def divisors(self) -> tuple[Array, ...]:
+        """Return the operations of the divisors in M, Q and Phi that depend on the state."""
+        if ("divisors", 0) not in self._made:
+            for i, values in enumerate((self._M, self._Q, self._Phi)):
+                found = self._operations.divisors(values.ravel()).tolist()
+                kept = [x for x in found if {*"tqv"} & {*self._inputs(np.array([x]))}]
+                self._made["divisors", i] = np.array(kept, dtype=np.int64)
+        return tuple(self._made["divisors", i] for i in range(3))
+
     @property
     def root_lines(self) -> tuple[tuple[str, int], ...]:
         """Files and lines of the user's code that contain the square roots; see `line_of`."""

@@ -45,6 +45,10 @@ _CALL, _RESULT = "call", "result"
 _CODES |= {_CALL: len(_CODES), _RESULT: len(_CODES) + 1}
 _FUNCTIONS = tuple(_CODES)
 _ADD, _SUBTRACT, _MULTIPLY, _DIVIDE = (_CODES[x] for x in _OF_TWO[:4])
+# Codes of functions that are infinite where a divisor vanishes, and functions that vanish with
+# their first number.
+_DIVIDING = [_CODES[x] for x in (np.divide, np.reciprocal, np.power, np.tan)]
+_OF_BASE = frozenset((np.negative, np.square, np.sqrt, np.power, np.divide))
 # Integer exponents up to this are written as products (`kernels/trace.h`).
 _PRODUCTS = 64
 # How formulas with kinks are written, for messages.
@@ -179,6 +183,35 @@ class Operations:
         """Return the operations on which outputs depend: numbers, functions and arguments."""
         rows = self.trace.rows(_numbers(outputs)).tolist()
         return [(number, _FUNCTIONS[code], x, y) for number, code, x, y in rows]
+
+    def divisors(self, outputs: Array) -> Array:
+        """Return the numbers of the divisors on which outputs depend, (n,), ascending.
+
+        Products and quotients are given by their factors, roots and powers by their bases, the
+        divisor of a tangent is the cosine. Constants and functions without zeros are left out.
+        """
+        rows = self.trace.rows(_numbers(outputs))
+        if not np.isin(rows[:, 1], _DIVIDING).any():
+            return np.zeros(0, np.int64)
+        made = {number: (_FUNCTIONS[code], x, y) for number, code, x, y in rows.tolist()}
+        waiting, found = list[int](), set[int]()
+        for function, x, y in made.values():
+            if function is np.divide:
+                waiting.append(y)
+            elif function is np.reciprocal or (function is np.power and self.value(y).real < 0):
+                waiting.append(x)
+            elif function is np.tan:
+                waiting.append(self.apply(np.cos, x))
+        while waiting:
+            number = waiting.pop()
+            function, x, y = made.get(number, (None, 0, 0))
+            if function is np.multiply:
+                waiting += [x, y]
+            elif function in _OF_BASE:
+                waiting.append(x)
+            elif number >= 0 and function not in (np.exp, np.cosh):
+                found.add(number)
+        return np.array(sorted(found), dtype=np.int64)
 
     def arrays(self, results: Array) -> tuple[Array, ...]:
         """Return constants, operations with both arguments, and results, for formulas of loads.

@@ -39,6 +39,8 @@ _STATES, _FEW = 64, 5
 # A run warns of a nearly singular position if it is _NEAR times nearer to losing rank there than at
 # its best state, and if errors so amplified exceed _WRONG times the size of the coordinates.
 _NEAR, _WRONG = 5.0, 0.05
+# Largest distance from a breakpoint, in steps, of a time that counts as at the breakpoint.
+_BESIDE = 0.01
 # Most entries of Phi_q with which singular values are computed.
 _DENSE = 100_000
 
@@ -59,8 +61,8 @@ def require_differentiable(
     if system.called_functions or system.traits.rows_left_out:
         count = _STATES if system.called_functions else _FEW
         some = np.unique(np.linspace(0, len(t) - 1, count).astype(int))
-        for each in some:
-            system.require_derivatives_at(float(t[each]), q[each], v[each])
+        for time, each in zip(_beside_breakpoints(system, t)[some], some, strict=True):
+            system.require_derivatives_at(float(time), q[each], v[each])
     if system.traits.linear_constraints or not system.n_lam or not system.has_loops:
         return
     singular = singular_position(system, Rows(t, q, v))
@@ -76,6 +78,19 @@ def require_differentiable(
     else:
         # Errors of derivatives grow twice: from errors of the motion, and by themselves.
         warn_near_singular(system, Rows(t, q, v), errors, 2, stacklevel=5)
+
+
+def _beside_breakpoints(system: MechanicalSystem, t: Array) -> Array:
+    """Return the times t of a run, (k,), those at breakpoints moved towards a neighbour.
+
+    A function has two derivatives in time at a breakpoint, and steps end there.
+    """
+    marks = np.array(system.breakpoints(float(t[-1])))
+    if not marks.size or len(t) < 2:
+        return t
+    after = np.append(t[1:], t[-2]) - t
+    near = np.abs(t[:, None] - marks).min(axis=1) < _BESIDE * np.abs(after)
+    return np.asarray(t + near * after / 2)
 
 
 def warn_near_singular(

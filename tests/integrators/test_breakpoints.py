@@ -23,6 +23,7 @@ from ancfdae import (
 )
 from ancfdae.equations import SystemProperties
 from ancfdae.errors import InvalidInputError
+from ancfdae.extend import FormulaSystem, positive
 from ancfdae.laws import (
     Constant,
     ConstantAcceleration,
@@ -34,7 +35,7 @@ from ancfdae.laws import (
     UserLaw,
 )
 from ancfdae.numerics.time_grid import next_end
-from ancfdae.observables import position, velocity
+from ancfdae.observables import custom, position, velocity
 
 BLOCK = RigidBody("block", (0, 0), mass=2.0, inertia=0.1)
 T_END, BEGIN, FORCE = 1.0, 0.6137, 3.0
@@ -147,3 +148,58 @@ def test_the_next_end():
 def test_breakpoints_are_numbers():
     with pytest.raises(InvalidInputError, match="breakpoints"):
         SystemProperties(breakpoints=(0.1, np.nan))
+
+
+class Ramped(FormulaSystem):
+    """A mass under a force that begins to rise at a declared time; NumPy calls its formula."""
+
+    n_q, n_lam, design_names = 1, 0, ("m", "F")
+    # Time at which the force begins.
+    begin = 0.4
+
+    def __init__(self, b=(2.0, 3.0)):
+        self.traits = SystemProperties(breakpoints=(self.begin,))
+        super().__init__(b)
+
+    def with_values(self, b):
+        return type(self)(b)
+
+    def start(self):
+        return np.zeros(1), np.zeros(1)
+
+    def mass_matrix(self, q):
+        return self.b[0] * np.ones((1, 1))
+
+    def force(self, t, q, v):
+        if v[0] > 1e9:  # A question that symbols do not answer.
+            return 0 * v
+        return self.b[1] * positive(t - self.begin) + 0 * v
+
+    def position_constraint(self, t, q):
+        return q[:0]
+
+
+class Clipped(Ramped):
+    """A real part has no complex step; it begins long after the start, where nothing shows it."""
+
+    def force(self, t, q, v):
+        late = v.real if np.real(t) > 0.7 else 0.0
+        return super().force(t, q, v) + late
+
+
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.NotTracedWarning")
+@pytest.mark.parametrize("method", [Radau(rtol=1e-8), Radau(0.1), HHT(rtol=1e-6), DOP853(1e-9)])
+def test_a_called_formula_has_derivatives_beside_its_breakpoint(method):
+    """x = F (t - begin)^3 / 6 m; the run was refused because a step ends at the breakpoint."""
+    end = Terminal(custom(lambda t, q, v, lam, b: q[:, 0], "x"))
+    found = gradient(Ramped(), end, 1.0, method)
+    exact = 3.0 * 0.6**3 / (6 * 2.0)
+    assert found.value == pytest.approx(exact, rel=1e-4)
+    np.testing.assert_allclose(found.gradient * [-2.0, 3.0], exact, rtol=1e-4)
+
+
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.NotTracedWarning")
+def test_a_called_formula_that_loses_its_complex_step_in_the_run_is_refused():
+    end = Terminal(custom(lambda t, q, v, lam, b: q[:, 0], "x"))
+    with pytest.raises(InvalidInputError, match=r"at t = 0\.[789].*must be differentiable"):
+        gradient(Clipped(), end, 1.0, Radau(0.1))

@@ -92,8 +92,7 @@ def test_a_wave_that_numerical_damping_eats_is_not_forgotten(tolerance):
     assert abs(found.value - value) <= found.accuracy.value_bar + 1e-9
     if found.accuracy.reached:
         assert np.linalg.norm(wrong) <= tolerance * np.linalg.norm(slope)
-    # One error of 8e-7 is 1.13 bars.
-    assert np.all(np.abs(wrong) <= 1.2 * found.accuracy.gradient_bar * [SOFT, STIFF] + 1e-9)
+    assert np.all(np.abs(wrong) <= found.accuracy.gradient_bar * [SOFT, STIFF] + 1e-9)
 
 
 def test_a_damped_wave_has_the_amplitude_and_frequency_that_it_began_with():
@@ -553,8 +552,9 @@ def of_random(family, seed, tolerance):
     seen = [position(draft.point, axis), velocity(draft.point, 0), *draft.others]
     at = np.linspace(0, draft.t_end, 65)
     found = observed_within(system, seen, at, draft.t_end, tolerance, False)
-    run = simulate(system, draft.t_end, DOP853(1e-10, intervals=64))
-    return found, np.stack([observe(x, run, system)[::8] for x in seen], axis=1)
+    runs = (simulate(system, draft.t_end, DOP853(r, intervals=64)) for r in (1e-9, 1e-10))
+    near, exact = (np.stack([observe(x, y, system)[::8] for x in seen], axis=1) for y in runs)
+    return found, exact, np.sqrt(np.mean((near - exact) ** 2, axis=0))
 
 
 @pytest.mark.parametrize(
@@ -562,13 +562,16 @@ def of_random(family, seed, tolerance):
     [("rod", 1001, 1e-3), ("rod", 1002, 1e-3), ("ringing", 1000, 1e-2)],
 )
 def test_bars_over_time_hold_at_single_instants(family, seed, tolerance):
-    """Undamped rods whose velocity and reaction swing; DOP853 knows them. 23 to 34 % were out."""
+    """Undamped rods whose velocity and reaction swing; DOP853 knows them. 23 to 34 % were out.
+
+    The horizontal reaction of rod 1002 is a strain of 1e-9: round-off of coordinates is 4e-6 of its
+    square in all runs (DOP853 at 1e-7 to 1e-11, 4,096 steps of Radau). What DOP853 at 1e-9 and
+    1e-10 differ by is therefore no error of the search.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ToleranceWarning)
-        found, exact = of_random(family, seed, tolerance)
-    # Errors below a hundredth of the tolerance need no bars.
-    least = 0.01 * tolerance * np.sqrt(np.mean(exact**2, axis=0))
-    off = np.abs(found.values - exact) > found.bars + least
+        found, exact, unsure = of_random(family, seed, tolerance)
+    off = np.abs(found.values - exact) > found.bars + 2 * unsure
     assert off.mean(axis=0).max() <= 0.05
 
 
@@ -576,7 +579,7 @@ def test_bars_over_time_hold_at_single_instants(family, seed, tolerance):
 def test_two_runs_of_radau_show_no_order_of_reactions(seed, monkeypatch):
     """Radau's reactions have a lower order than its motion: they erred by three tolerances."""
     monkeypatch.setattr(Prices, "of", staticmethod(lambda system: Prices(10.0, 0.0, 150.0, 30.0)))
-    found, exact = of_random("rod", seed, 1e-4)
+    found, exact, _ = of_random("rod", seed, 1e-4)
     errors = np.linalg.norm(found.values - exact, axis=0)
     assert sum(isinstance(x.integrator, Radau) for x in found.trials) >= 2
     assert found.reached
@@ -586,7 +589,7 @@ def test_two_runs_of_radau_show_no_order_of_reactions(seed, monkeypatch):
 @pytest.mark.parametrize(("family", "seed"), [("springs", 1000), ("rod", 1003)])
 def test_values_over_time_with_damped_waves_need_no_derivatives(family, seed):
     """The foreseen work divided by zero where a run without derivatives damped waves."""
-    found, exact = of_random(family, seed, 1e-4)
+    found, exact, _ = of_random(family, seed, 1e-4)
     errors = np.linalg.norm(found.values - exact, axis=0)
     assert found.reached
     assert (errors <= 1e-4 * np.linalg.norm(exact, axis=0)).all()

@@ -149,9 +149,10 @@ class RadauRuns(FixedStepRuns):
 # -- DOP853 ------------------------------------------------------------------------------------
 
 
-# First tolerance of DOP853 over the requested one, and factor to the second; least and largest
-# factor to a later one. The first run only judges the second one.
-_FIRST, _SECOND, _TIGHTER, _TIGHTEST = 1.0, 100.0, 10.0, 1e3
+# First tolerance of DOP853 over the requested one, and least and largest factor to the next one. A
+# run only judges the next one: errors of runs whose tolerances are a factor of ten apart may be
+# alike.
+_FIRST, _TIGHTER, _TIGHTEST = 1.0, 100.0, 1e3
 # Loosest and tightest tolerance of DOP853 in a search.
 _LOOSEST, _LEAST_RTOL = 1e-2, 3e-14
 # Number of last paths whose sharp places have stops, and how often the stops are doubled.
@@ -253,7 +254,7 @@ class DOP853Runs(Runs):
     def _next(self) -> float:
         """Tolerance of the next run of DOP853, from the error of the runs so far."""
         if not self.estimates:
-            return self._rtol / (_SECOND if len(self._taken) < 2 else _TIGHTER)
+            return self._rtol / _TIGHTER
         further = self.error / (AIM * self._tolerance)
         return self._rtol / min(max(further, _TIGHTER), _TIGHTEST)
 
@@ -310,7 +311,7 @@ class DOP853Runs(Runs):
             return math.inf
         if self.samples:
             return self.work
-        return self.work + self._of(self._steps(self._rtol / _SECOND))
+        return self.work + self._of(self._steps(self._rtol / _TIGHTER))
 
     def judged(self) -> list[Estimate]:
         """Return estimates from the last two runs; from three if HHT's runs contradict them."""

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Final, NamedTuple, TypeAlias, final
 
@@ -32,6 +32,7 @@ from ancfdae.equations.formula_system import FormulaSystem
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.enclosures import Interval, enclosed, values
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
+from ancfdae.numerics.time_grid import LOBATTO_DEGREE
 from ancfdae.sensitivity.observables.expression import Operation, evaluated, in_order
 from ancfdae.sensitivity.observables.observable import Observable, States, states_of
 from ancfdae.sensitivity.observables.user_functions import Custom
@@ -68,6 +69,8 @@ _STOPS, _APART, _ALL = 12, 0.25, 1800
 _COPIES, _TIMES = 4, 65
 # Degree up to which polynomials of observables change no more suddenly than the observables.
 _LOW: Final = 4
+# Samples of the motion in each interval of a path whose times are those of steps.
+_PARTS: Final = 4
 # Number of stages of Radau IIA.
 _STAGES: Final = 3
 # Number of chords before and after a place that belong to it.
@@ -240,12 +243,16 @@ def _deepest(parts: Sequence[Part]) -> tuple[Part, ...]:
 @final
 @dataclass(frozen=True)
 class _Path:
-    """Cubics through values and slopes at the times of a run: columns t, q, v, lam and more."""
+    """Cubics through values and slopes at the times of a run: columns t, q, v, lam and more.
+
+    The times are `dense` if there are several in each step, as in runs of high order.
+    """
 
     t: Array
     Y: Array
     slopes: Array
     sizes: tuple[int, int]
+    dense: bool = False
 
     @staticmethod
     def of(run: Solution) -> _Path:
@@ -262,7 +269,7 @@ class _Path:
             t, q, v, a, lam = _with_middles(t, q, v, a, lam)
         Y = np.concatenate([t[:, None], q, v, lam], axis=1)
         rates = np.concatenate([np.ones((len(t), 1)), v, a, np.gradient(lam, t, axis=0)], axis=1)
-        return _Path(t, Y, rates, (q.shape[1], lam.shape[1]))
+        return _Path(t, Y, rates, (q.shape[1], lam.shape[1]), run.degree == LOBATTO_DEGREE)
 
     @property
     def nodes(self) -> States:
@@ -281,7 +288,7 @@ class _Path:
         more = np.stack([np.real(x) for x in columns], axis=1)
         Y = np.concatenate([self.Y, more], axis=1)
         slopes = np.concatenate([self.slopes, np.gradient(more, self.t, axis=0)], axis=1)
-        return _Path(self.t, Y, slopes, self.sizes)
+        return replace(self, Y=Y, slopes=slopes)
 
     @cached_property
     def _powers(self) -> tuple[Array, Array, Array, Array]:
@@ -350,7 +357,7 @@ class _Path:
             sharp = chords.level(max(_JUMP * share, least))
             if not (sharp.any() or kinks > steps):
                 return Places(0, 0, ())
-            own = _Chords.of(self.t, t, self._motion(n, parts)).level(_JUMP * share / _CLOSER)
+            own = self._pace(_JUMP * share / _CLOSER, t)
             return chords.places(np.where(sharp >= own + _COARSER, sharp, 0), kinks, steps)
 
     def _split(self, places: Array) -> tuple[Array, Array]:
@@ -367,26 +374,39 @@ class _Path:
         off = float(np.abs(self.rates(*middles, q) - x).max(initial=0.0))
         return off / (_size(x, False) or 1.0)
 
-    def _motion(self, n: Array, s: Array) -> Callable[[Array], Array]:
-        """Return q and v, each over its largest range, as a function of positions."""
-        n_q = self.sizes[0]
+    def _pace(self, share: float, t: Array) -> Array:
+        """Return at times t the last level whose chords pass over a change of the motion, (k,)."""
+        times = self._motion.t
+        return self._motion.level(share)[np.searchsorted(times, t, side="right") - 1]
+
+    @cached_property
+    def _motion(self) -> _Chords:
+        """Distances from chords of q and v, each over its largest range."""
+        n_q, count = self.sizes[0], len(self.t) - 1
         both = slice(1, 1 + 2 * n_q)
+        n, s = self._split(np.linspace(0.0, count, count * (1 if self.dense else _PARTS) + 1))
         q, v = (_size(x, False) or 1.0 for x in np.split(self.at(n, s, both), 2))
         factors = np.repeat([1 / q, 1 / v], n_q)[:, None]
-        return lambda places: self.at(*self._split(places), both) * factors
+        return _Chords.of(
+            self.t, self.at(n, s, [0])[0], lambda x: self.at(*self._split(x), both) * factors
+        )
 
     def _divided(self, group: _Group, listed: _Listed, share: float) -> Array:
-        """Return the ends of intervals in which functions are smooth, (k,), as positions."""
+        """Return the ends of intervals in which functions are smooth, (k,), as positions.
+
+        Halves of an interval between dense times are needed only where one of them is not smooth.
+        """
         count = len(self.t) - 1
         n, s, e = np.arange(count), np.zeros(count), np.ones(count)
         before, ends = np.zeros(count), [np.arange(count + 1.0)]
         outputs, rates = np.split(listed.outputs, 2)
         rows = _values(self, listed, outputs, n, s)
         low, high = rows.min(axis=1), rows.max(axis=1)
-        for _ in range(_DEPTH):
+        for depth in range(_DEPTH):
             middle = (s + e) / 2
             rows = _values(self, listed, outputs, n, middle)
-            ends.append(n + middle)
+            if not self.dense:
+                ends.append(n + middle)
             low, high = np.fmin(low, rows.min(axis=1)), np.fmax(high, rows.max(axis=1))
             both = np.stack([low, high], axis=1) * group.factors[:, None]
             size = _size(both, group.level) or 1.0
@@ -401,6 +421,8 @@ class _Path:
                 # Only the worst intervals: of a function with unseen large values all would count.
                 again &= off >= np.sort(off)[-max(_WIDE, count)]
             n, s, middle, e = (x[again] for x in (n, s, middle, e))
+            if self.dense and depth:
+                ends += [n + s, n + middle, n + e]
             before = np.tile(off[again], 2)
             n, s, e = np.tile(n, 2), np.append(s, middle), np.append(middle, e)
         return np.unique(np.concatenate(ends))
@@ -633,7 +655,7 @@ def _loaded(item: LoadInput, path: _Path) -> list[_Group]:
         forces = item.listed(operations, n_signals)[0].ravel().tolist()
         outputs = np.array([operations.apply(np.multiply, x, factor) for x in forces])
         both = np.array([time, *at, factor]), np.array([time + 2, *(n + at), factor + 2])
-        along = _Path(t, Y, dY, (size, n_signals + n_own))
+        along = _Path(t, Y, dY, (size, n_signals + n_own), path.dense)
         moving.append(_with_rates(operations, outputs, both, {}, along))
     return [group for group in moving if group is not None]
 

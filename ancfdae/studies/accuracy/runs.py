@@ -8,6 +8,7 @@ from __future__ import annotations
 import abc
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import ClassVar, NamedTuple, final
 
 import numpy as np
@@ -19,6 +20,7 @@ from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.pulses import Pulses
+from ancfdae.sensitivity.observables.observable import states_of
 from ancfdae.studies.accuracy.bars import Estimate, refined
 from ancfdae.studies.accuracy.places import Places
 from ancfdae.studies.accuracy.waves import Numbers, Partials
@@ -31,6 +33,8 @@ _BEYOND = 1e30
 AIM = 0.7
 #: Methods of high order have an error of PERCENT with FEWER times fewer steps than HHT.
 PERCENT, FEWER = 1e-2, 8.0
+# Relative change of a state by round-off: a few roundings.
+_ROUNDED = 2 * np.finfo(float).eps
 # Two kinds of runs contradict each other if they differ by more than _CONTRADICTS error bars, of
 # which one in twenty does not hold.
 _CONTRADICTS = 3.0
@@ -192,6 +196,31 @@ class Runs(abc.ABC):
         norms = [float(np.linalg.norm(x)) for x in parts]
         pairs = zip(norms, self._sizes(of), strict=True)
         return max((_over(x, size) for x, size in pairs), default=0.0)
+
+    @final
+    @property
+    def noise(self) -> list[Array]:
+        """Changes of the wanted vectors by round-off of the states of the last run.
+
+        Coordinates change by _ROUNDED of their size, and velocities by that in a step. Logarithmic
+        derivatives of a number are no better known than the number.
+        """
+        wanted, sample = self._wanted, self.samples[-1]
+        states, random = states_of(sample.run), np.random.default_rng(0)
+        q, v = (_ROUNDED * random.choice([-1, 1], states.q.shape) for _ in range(2))
+        h = self._t_end / max(sample.steps, 1)
+        moved = replace(
+            states, q=states.q * (1 + q), v=states.v * (1 + v) + np.abs(states.q) * v / h
+        )
+        changed = [x - y for x, y in zip(*map(wanted.numbers, (moved, states)), strict=True)]
+        if not wanted.slopes:
+            return changed
+        sizes = map(np.shape, sample.vectors[1::2])
+        of_slopes = (
+            np.full(n, np.linalg.norm(x) / math.sqrt(n[0]))
+            for x, n in zip(changed, sizes, strict=True)
+        )
+        return [x for pair in zip(changed, of_slopes, strict=True) for x in pair]
 
     @final
     def apart(self, other: Runs) -> float:

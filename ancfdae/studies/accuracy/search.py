@@ -60,11 +60,14 @@ from ancfdae.studies.parts import instants
 
 # Largest cost of a search, microseconds.
 _MOST = 4e7
-# Cost, microseconds, after which the path of HHT-I3 is searched for sharp places, which may explain
-# why no run is accurate enough.
+# Cost, microseconds, after which the path of HHT-I3 is searched for sharp places, and runs for
+# round-off, which may explain why no run is accurate enough.
 _EARLY = 5e5
 # Most restarts of the sequences because runs passed over sharp places of their paths.
 _LOOKS = 12
+# Largest effect of round-off, over the tolerance, on a result that counts as reached. A relative
+# effect of _ALL or more is one on a number that the runs have not met yet.
+_NOISE, _ALL = 0.5, 1e3
 # Largest cost of HHT runs, over the predicted cost, that are made because they may show that less
 # is needed.
 _WORTH = 0.1
@@ -184,6 +187,8 @@ def _search(
         if best.error <= tolerance:
             places = witness.of(best.samples[-1].run, best.chosen)
             if best.follows(places):
+                if (noise := _noise(best, best)) > _NOISE * tolerance:
+                    return _lost_in_noise(spent, best, noise)
                 break
             if looks == _LOOKS:
                 return _passed_over(spent, best, places.words)
@@ -207,6 +212,9 @@ def _search(
                     each.mind(early)
                 continue
         sample = spent.take(runs, measure)
+        late = best.estimates and sample.vectors and spent.work > _EARLY
+        if late and tolerance < (noise := _noise(runs, best)) < _ALL:
+            return _lost_in_noise(spent, best, noise)  # Finer runs have more of it.
         if runs.stops_there and runs.samples and looks < _LOOKS:
             places = witness.of(runs.samples[-1].run, runs.chosen)
             if not runs.follows(places):
@@ -237,6 +245,22 @@ def _passed_over(spent: _Spent, best: Runs, why: str) -> Found:
     """Return estimates with infinite bars: no run resolved the sharp places of its path."""
     unknown = [Estimate(x, np.full(x.shape, np.inf)) for x, _ in best.estimates]
     return _found(spent, best, unknown, False, f"{why}.")
+
+
+def _noise(runs: Runs, best: Runs) -> float:
+    """Return the change by round-off of the last of `runs`, relative to the best estimates."""
+    return runs.relative(runs.noise, [x for x, _ in best.estimates])
+
+
+def _lost_in_noise(spent: _Spent, best: Runs, noise: float) -> Found:
+    """Return estimates whose bars hold the round-off of the states, as if all steps added to it."""
+    steps, pairs = best.samples[-1].steps, zip(best.estimates, best.noise, strict=True)
+    estimates = [Estimate(x, bar + steps * np.abs(more)) for (x, bar), more in pairs]
+    why = (
+        f"round-off of coordinates changes the result by about {noise:.1g} of its size; bars hold "
+        "that. It is relative to itself: add a size that matters, for example 1 + x for x near 0."
+    )
+    return _found(spent, best, estimates, False, why)
 
 
 # -- gradients ---------------------------------------------------------------------------------
