@@ -80,14 +80,20 @@ class Form:
 
     def __init__(self, system: MechanicalSystem, values: Array, taken: Array | None = None) -> None:
         self.system, pattern = system, system.constraint_pattern
-        self.taken = np.ones(system.n_lam, dtype=bool) if taken is None else taken
-        self._entries = np.flatnonzero(self.taken[pattern.rows])
+        self.taken: Array | slice = slice(None)
+        self._entries: Array | slice = slice(None)
         if taken is None:
-            self.used, self.columns = pattern.used
+            (self.used, self.columns), self.rows, n_lam = (
+                pattern.used,
+                pattern.rows.astype(int),
+                system.n_lam,
+            )
         else:
+            self.taken, self._entries = taken, np.flatnonzero(taken[pattern.rows])
             self.used, self.columns = np.unique(pattern.columns[self._entries], return_inverse=True)
-        self.rows = (np.cumsum(self.taken) - 1)[pattern.rows[self._entries]]
-        self.shape = int(np.sum(self.taken)), len(self.used)
+            self.rows = (np.cumsum(taken) - 1)[pattern.rows[self._entries]]
+            n_lam = int(np.sum(taken))
+        self.shape = n_lam, len(self.used)
         self.root = np.sqrt(system.weights[self.used])
         scaled = values[self._entries] / self.root[self.columns]
         squares = np.bincount(self.rows, scaled * scaled, minlength=self.shape[0])
