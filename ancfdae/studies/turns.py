@@ -26,10 +26,11 @@ _SLOW = 0.05
 
 
 def turned_apart(system: AncfSystem, run: Solution) -> tuple[str, float] | None:
-    """Return a rigid body whose turns differ from its angular velocity; None if there is none.
+    """Return the name of a rigid body whose turns differ from its angular velocity, and a turn.
 
-    With its name: the largest turn in a step by its angular velocity, rad. Where joints move by
-    laws a body may be turned rightly in spite of its velocities: then a whole run tells nothing.
+    The turn is the largest one in a step by its angular velocity, rad. The result is None if all
+    bodies agree. Turns of a whole run do not count where joints move by laws: a driven body may
+    have right positions and wrong velocities.
     """
     d, ends = system.naming.layout.d, slice(None, None, run.degree)
     h, free = np.diff(run.t[ends])[:, None], system.scleronomic

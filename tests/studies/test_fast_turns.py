@@ -77,7 +77,7 @@ def test_a_rotation_that_is_off_by_radians_is_said(turn, steps, integrator):
     [(0.25, HHT(STEP)), (0.1, HHT(STEP, hht_alpha=-0.05)), (1.25, Radau(STEP))],
 )
 def test_a_rotation_that_is_followed_is_not_blamed(turn, integrator):
-    """It is off by 0.3 rad of 25, 2e-3 of 10 and 0.8 of 125."""
+    """The wheel is off by 0.3 rad of 25, 2e-3 of 10 and 0.8 of 125."""
     scene = wheel(turn)
     run, words = said(scene, 1.0, integrator)
     angle = observe(rotation_angle(scene.bodies[0].at(0, 0)), run, assemble(scene, []))
@@ -94,7 +94,7 @@ def test_a_driven_rotation_is_not_blamed_for_its_velocity(integrator):
 
 
 def test_a_body_that_tumbles_in_space_is_not_blamed():
-    """Its angular velocity swings: the integral over a step needs its derivative at both ends."""
+    """The angular velocity swings: its integral needs its derivatives at the ends of a step."""
     a = RigidBody("a", (0, 0, 0), shape=RigidBox(0.3, 0.2, 0.1), density=1000.0)
     start = [InitialVelocity("a", (9.0, 21.0, 19.5), (0, 0, 0))]
     scene = Scene([], [], bodies=[a], start=start)
