@@ -143,11 +143,23 @@ class FormulaTrace:
             for x, rate in zip(before, after, strict=True)
         }
 
-    def lists(self) -> tuple[OperationList, ...]:
-        """Return the lists of Phi, Phi_U, Phi_z and (Phi_U^T lam)_U, with time derivatives."""
-        n, Phi = self._n_u, self._numbers(self._joint)
+    def lists(self, known: dict[object, tuple[OperationList, ...]]) -> tuple[OperationList, ...]:
+        """Return the lists of Phi, Phi_U, Phi_z and (Phi_U^T lam)_U, with time derivatives.
+
+        Joints with the same operations on the same inputs share the lists in `known`.
+        """
+        Phi = self._numbers(self._joint)
         self._require_parameters(Phi)
-        by_all = self._by(Phi, self._states[0])
+        key: object = self  # Functions that are called are not compared.
+        if not self._operations.calls(Phi):
+            inputs = self._states.shape, self._item.reference.shape, *self._motion
+            key = inputs, *(x.tobytes() for x in self._operations.arrays(Phi))
+        made = known.get(key) or known.setdefault(key, self._made(Phi))
+        self._require_the_same(made[0])
+        return made
+
+    def _made(self, Phi: Array) -> tuple[OperationList, ...]:
+        n, by_all = self._n_u, self._by(Phi, self._states[0])
         gradient = Traced.numbers(
             self._operations, self._traced(self._lam) @ self._traced(by_all[:, :n])
         )
@@ -155,14 +167,12 @@ class FormulaTrace:
         # Symmetric to the last bit.
         lower = np.tril_indices(n)
         curvature[lower] = curvature.T[lower]
-        made = [
+        return (
             *self._rates(Phi, _ORDERS),
             *self._rates(by_all[:, :n], _ORDERS),
             *self._rates(by_all[:, n:], _FIRST_ORDERS),
             *self._rates(curvature, _FIRST_ORDERS, lam=True),
-        ]
-        self._require_the_same(made[0])
-        return tuple(made)
+        )
 
     def _rates(self, values: Array, orders: int, lam: bool = False) -> list[OperationList]:
         """Return the lists of `values` and of their time derivatives up to orders - 1."""

@@ -90,13 +90,14 @@ class JointStructure:
         """Return the structure of joints whose vectors, in order, are `vectors`."""
         shapes, slots, layouts = list[_Shape](), [], []
         known: dict[object, _Shape] = {}
+        listed: dict[object, tuple[OperationList, ...]] = {}
         for item in inputs:
             shape = None if item.reference_b else known.get(item.kind)
             if shape is None:
                 c, count = item.structure(), item.input_count
                 linear, products = np.nonzero(c.linear), np.nonzero(np.triu(c.bilinear))
                 entries = len(item.reference), len(linear[0]), len(products[0]), len(c.offset)
-                lists = FormulaTrace(item).lists() if count else ()
+                lists = FormulaTrace(item).lists(listed) if count else ()
                 shape = _Shape(linear, products, lists, (*entries, len(item.parts) - 1, count))
             shapes.append(shape)
             known[item.kind] = shape

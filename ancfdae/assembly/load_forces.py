@@ -15,7 +15,7 @@ import numpy as np
 
 from ancfdae.assembly.naming import SceneNaming, Vectors
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import LoadPlan
+from ancfdae.kernels import LoadPlan, OperationList
 from ancfdae.model.loads.contact import ContactLoad
 from ancfdae.model.loads.load import Copies, Load
 from ancfdae.numerics.arrays import STEP, Array, only
@@ -93,6 +93,22 @@ class LoadInput:
         """Return the contact depth of each copy, (k, n_copies), negative if apart; m."""
         assert isinstance(self.load, ContactLoad)
         return np.real(self.load.depth(U, signals, self.p, self.reference)[..., 0, 0])
+
+    @cached_property
+    def _divisors(self) -> OperationList:
+        """Divisors in the force as operations on vectors, their rates, signals and own numbers."""
+        n_signals = self.factors(np.zeros(1), 0).shape[1] - 1
+        inputs = 2 * self.reference.size + n_signals + self.own.shape[1]
+        operations = Operations(inputs)
+        forces, _ = self.listed(operations, n_signals)
+        return operations.compiled(operations.divisors(forces.ravel()), np.arange(inputs))
+
+    def divisors(self, t: Array, q: Array, v: Array) -> Array:
+        """Return the divisors in the force of all copies in k states, shape (k, n)."""
+        U, V = (self.by_copies(self.vectors.of(x)).reshape(-1, self.reference.size) for x in (q, v))
+        signals = self.signals_of_copies(t)
+        found = self._divisors.values(U, V, signals.reshape(len(U), -1))
+        return np.real(found).reshape(len(t), -1)
 
     def closing(self, U: Array, M: Array, signals: Array) -> Array:
         """Return bounds of the changes of contact depths by movements M, (k, n_copies); m."""
@@ -276,6 +292,10 @@ class LoadForces:
         self.touching = [load for load in self._moving if load.item.load.touches]  # contacts
         # Whether a load depends on positions or velocities.
         self.moving = len(self._moving) > 0
+        # Loads whose force may be infinite in some states. Smooth loads of the package and contacts
+        # are finite.
+        loads = [load.item for load in self._moving]
+        self.dividing = [x for x in loads if x.load.sharp and not x.load.touches]
         self._steady = np.zeros(self._n_q)
         self._timed: list[tuple[LoadInput, Array]] = []
         zero = np.zeros((1, self._n_q))

@@ -94,9 +94,12 @@ class AncfSystem(PlannedSystem):
         self.pattern, self.constraint_pattern = structure.pattern, geometry.joints.pattern
         self.naming = geometry.naming
         self.constraint_names, self.reach = structure.constraint_names, structure.reach
-        self.controllers = tuple(each.name for each in structure.numbering.controllers)
+        controllers = structure.numbering.controllers
+        self.controllers = tuple(each.name for each in controllers)
+        first = [each.first_vector + k for each in controllers for k in range(len(each.states))]
+        self.state_places = structure.numbering.d * np.array(first, dtype=int)
         self.inputs, self.weights = geometry.inputs, numbers.inertia.weights
-        self.traits = self._described()
+        self.traits, self.divides = self._described(), len(self._loads.dividing) > 0
 
     @cached_property
     def energies(self) -> Energies:
@@ -332,25 +335,51 @@ class AncfSystem(PlannedSystem):
 
     def start(self) -> tuple[Array, Array]:
         """Return q and v at t = 0, shape (n_q,) each: as declared, or the equilibrium."""
-        if self._rest is not None:
-            at_rest, states = self._rest.q, self._reference.state_rates
-            return np.append(at_rest, 0 * states), np.append(0 * at_rest, states)
-        return self._start.state
+        if self._rest is None:
+            return self._start.state
+        return self._from_rest(self._rest.state, self._reference.state_rates)
 
     def start_b(self) -> tuple[Array, Array]:
         """Return the design derivatives of q and v at t = 0, shape (n_q, n_b) each."""
-        if self._rest is not None:
-            at_rest, states = self._rest.q_b, self._reference.state_rates_b
-            return np.append(at_rest, 0 * states, axis=0), np.append(0 * at_rest, states, axis=0)
-        return self._start.state_b()
+        if self._rest is None:
+            return self._start.state_b()
+        return self._from_rest(self._rest.state_b, self._reference.state_rates_b)
 
     def start_pull_back(self, on_q: Array, on_v: Array) -> Array:
         """Return q_b^T on_q + v_b^T on_v at t = 0, shape (n_b,)."""
-        if self._rest is not None:
-            states_b = self._reference.state_rates_b
-            first = self.n_q - len(states_b)
-            return self._rest.pull_back(on_q[:first]) + on_v[first:] @ states_b
-        return self._start.pull_back(on_q, on_v)
+        if self._rest is None:
+            return self._start.pull_back(on_q, on_v)
+        here, there = self._shared_with_rest
+        at_rest, declared = np.zeros((2, len(self._rest.state[0]))), np.array(on_v)
+        at_rest[:, there], declared[here] = (on_q[here], on_v[here]), 0.0
+        states_b = self._reference.state_rates_b
+        return self._rest.pull_back(*at_rest) + declared[self.n_q - len(states_b) :] @ states_b
+
+    def _from_rest(self, state: tuple[Array, Array], declared: Array) -> tuple[Array, Array]:
+        """Return q and v at the start, or derivatives, from the equilibrium's.
+
+        States of controllers that do not act in the equilibrium start as declared.
+        """
+        here, there = self._shared_with_rest
+        dtype = np.result_type(state[0], declared)
+        q, v = np.zeros((2, self.n_q, *declared.shape[1:]), dtype=dtype)
+        v[self.n_q - len(declared) :] = declared
+        q[here], v[here] = (x[there] for x in state)
+        return q, v
+
+    @cached_property
+    def _shared_with_rest(self) -> tuple[Array, Array]:
+        """Indices of the same coordinates here and in the equilibrium of the start, (k,) each."""
+        own, rest = self._numbering, self._rest_numbers.structure.numbering
+        bodies = np.arange(self.n_q - own.d * own.controlled)
+        here, there = [bodies], [bodies]
+        acting = {each.name: each for each in rest.controllers}
+        for each in own.controllers:
+            if each.name in acting:
+                places = np.arange(own.d * len(each.states))
+                here.append(own.d * each.first_vector + places)
+                there.append(own.d * acting[each.name].first_vector + places)
+        return np.concatenate(here), np.concatenate(there)
 
     def mass(self, q: Array) -> Array:
         """Return the values of the mass matrix M on `pattern`, shape (nnz,) (eq. 10)."""
@@ -516,6 +545,10 @@ class AncfSystem(PlannedSystem):
                 off = load.load.off_route(t, U, V, load.p.real, load.reference.real)
                 found += [] if off is None else [off]
         return min(found, default=None)
+
+    def divisors(self, t: Array, q: Array, v: Array) -> dict[str, Array]:
+        """Return the divisors in formulas of loads in k states, (k, n) by the name of the load."""
+        return {f"load {x.load.name!r}": x.divisors(t, q, v) for x in self._loads.dividing}
 
     def turn_rate(self, t: Array) -> Array:
         """Return the largest rate of the prescribed angles at times t; rad/s."""

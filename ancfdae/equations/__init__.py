@@ -20,5 +20,4 @@ from ancfdae.equations.system import (
     SystemProperties,
     planned,
     reaction,
-    require_no_controllers,
 )

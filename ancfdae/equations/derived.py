@@ -123,6 +123,7 @@ _UNDETERMINED = frozenset(
         "centred",
         "coarse",
         "contacts",
+        "divisors",
         "folded",
         "in_all_states",
         "left_out",

@@ -32,7 +32,7 @@ from ancfdae.errors.kinds import InvalidInputError, NotTracedWarning, StabilityW
 from ancfdae.kernels import OperationList
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.complex_step import require_derivative
-from ancfdae.numerics.operations import Operations
+from ancfdae.numerics.operations import Operations, line_of
 from ancfdae.numerics.patterns import Csr, SparsityPattern
 
 # Names of coordinates and their rates in a motion.
@@ -329,7 +329,8 @@ class FormulaSystem(ListedSystem):
             bends = np.max(np.abs(f[1:3] - 2 * f[0] + f[3:]), axis=1, initial=0.0) / steps
             round_off = _ROUND_OFF * np.max(np.abs(f[0]), initial=0.0) / steps[1]
             if not bends[1] <= max(_FALLING * bends[0], round_off):
-                lines = [x for x, z in zip(formulas.root_lines, roots, strict=True) if z == 0]
+                at = zip(formulas.root_lines, roots, strict=True)
+                lines = [line_of(x) for x, z in at if z == 0]
                 warnings.warn(
                     f"{type(self).__name__}.{name} has no derivative at the start, where a root is "
                     f"zero: {'; '.join(lines)}. There the derivative of the root is taken as "
@@ -412,6 +413,17 @@ class FormulaSystem(ListedSystem):
     def right_side(self) -> tuple[Operations, dict[str, Array], dict[str, Array]]:
         """Return operations for accelerations, numbers of Q, M, Phi_q, Phi'', and of inputs."""
         return self._formulas.right_side()
+
+    @property
+    def divides(self) -> bool:  # type: ignore[override]  # computed where it is asked for
+        """Whether M, Q or Phi have divisors that depend on the state."""
+        return any(x.size for x in self._formulas.divisors())
+
+    def divisors(self, t: Array, q: Array, v: Array) -> dict[str, Array]:
+        """Return the divisors in M, Q and Phi in k states, (k, n) by the name of the method."""
+        at = {"t": t[:, None], "q": q, "v": v, "b": self.b.real}
+        found = self._formulas.values(Formulas.divisors, rows=len(t), **at)
+        return {name: x for (name, *_), x in zip(_FORMULAS, found, strict=True)}
 
     @cached_property
     def list_plan(self) -> ListPlan:

@@ -142,9 +142,9 @@ class Formulas:
         self._made: dict[tuple[str, int], Array] = {}
         self._lists: dict[tuple[Any, ...], _List] = {}
         self.kind, self.called = type(system), dict[str, str]()
-        b = Traced.array(operations, self._at["b"])
+        symbols = {x: Traced.array(operations, self._at[x]) for x in "tqvb"}
         try:
-            moved, why = system.with_values(b), ""
+            moved, why = system.with_values(symbols["b"].copy()), ""
         except InvalidInputError:
             raise
         except TRACE_FAILURES as error:
@@ -153,9 +153,15 @@ class Formulas:
             raise InvalidInputError(f"{self.kind.__name__}.with_values", *FORGOTTEN)
         #: Whether the start may depend on b.
         self.moving_start = moved is None or _has_symbols(moved.start)
-        self._M = self._traced_or_called(system, moved, why, "mass_matrix", "q", (n, n))
-        self._Q = self._traced_or_called(system, moved, why, "force", "tqv", (n,))
-        self._Phi = self._traced_or_called(system, moved, why, "position_constraint", "tq", (m,))
+
+        def operations_of(name: str, inputs: str, shape: tuple[int, ...]) -> Array:
+            # Copies, because a formula may write to its arguments.
+            given = _arguments(inputs, [symbols[x].copy() for x in inputs])
+            return self._traced_or_called(system, moved, why, name, inputs, given, shape)
+
+        self._M = operations_of("mass_matrix", "q", (n, n))
+        self._Q = operations_of("force", "tqv", (n,))
+        self._Phi = operations_of("position_constraint", "tq", (m,))
         #: Sizes, operations, constants and roots of the formulas; None if they call functions.
         self.content = self._written()
 
@@ -167,14 +173,20 @@ class Formulas:
         return *self._ends, len(self._Phi), self.moving_start, self.root_lines, *lists
 
     def _traced_or_called(
-        self, system: Any, moved: Any, why: str, name: str, inputs: str, shape: tuple[int, ...]
+        self,
+        system: Any,
+        moved: Any,
+        why: str,
+        name: str,
+        inputs: str,
+        given: list[Any],
+        shape: tuple[int, ...],
     ) -> Array:
-        """Return operations of a value, of the given shape; a call if it cannot be traced.
+        """Return operations of a value of symbols, of the given shape; a call if it has none.
 
         `why` is the reason if no formula can be traced, else empty.
         """
         operations, where = self._operations, f"{self.kind.__name__}.{name}"
-        given = _arguments(inputs, [Traced.array(operations, self._at[x]) for x in inputs])
         try:
             if why:
                 raise NotTraceable(why)
@@ -203,7 +215,7 @@ class Formulas:
             out = np.repeat(out[None], rows, axis=0)
         lead = out.shape[:-1]
         if len(made.shapes) == 1:
-            return [out.reshape(*lead, *made.shapes[0])]
+            return [out if len(made.shapes[0]) == 1 else out.reshape(*lead, *made.shapes[0])]
         pairs = zip(made.places, made.shapes, strict=True)
         return [out[..., i].reshape(*lead, *shape) for i, shape in pairs]
 
@@ -260,9 +272,18 @@ class Formulas:
         """Return the operations of the square roots in the formulas, as in `root_lines`."""
         return (np.array(list(self._operations.roots), dtype=np.int64),)
 
+    def divisors(self) -> tuple[Array, ...]:
+        """Return the operations of the divisors in M, Q and Phi that depend on the state."""
+        if ("divisors", 0) not in self._made:
+            for i, values in enumerate((self._M, self._Q, self._Phi)):
+                found = self._operations.divisors(values.ravel()).tolist()
+                kept = [x for x in found if {*"tqv"} & {*self._inputs(np.array([x]))}]
+                self._made["divisors", i] = np.array(kept, dtype=np.int64)
+        return tuple(self._made["divisors", i] for i in range(3))
+
     @property
-    def root_lines(self) -> tuple[str, ...]:
-        """Lines of the user's code that contain the square roots."""
+    def root_lines(self) -> tuple[tuple[str, int], ...]:
+        """Files and lines of the user's code that contain the square roots; see `line_of`."""
         return tuple(self._operations.roots.values())
 
     def mass_along(self) -> tuple[Array, ...]:

@@ -46,7 +46,6 @@ from ancfdae.equations.plans import CalledPlan, DesignPlan, FactorTable, ListPla
 from ancfdae.equations.solution_parts import ContactRecord, LeftOut
 from ancfdae.errors.checks import require_array, require_finite, require_flag
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.errors.text import listed
 from ancfdae.kernels import OperationList
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import SparsityPattern
@@ -187,10 +186,14 @@ class MechanicalSystem(ComplexSteps):
     #: Names of controllers with states; states are velocities of coordinates, which are not zero in
     #: an equilibrium.
     controllers: tuple[str, ...] = ()
+    #: Indices of the coordinates whose velocities are the states of controllers.
+    state_places: Array = np.zeros(0, dtype=int)
     #: Whether joints may close loops; in a tree of bodies Phi_q keeps its rank.
     has_loops: bool = True
     #: Whether Phi is known not to depend explicitly on time.
     scleronomic: bool = False
+    #: Whether formulas may be infinite where `divisors` vanish, so that runs call this method.
+    divides: bool = False
 
     @cached_property
     def pattern(self) -> SparsityPattern:
@@ -412,6 +415,14 @@ class MechanicalSystem(ComplexSteps):
         """
         return None
 
+    def divisors(self, t: Array, q: Array, v: Array) -> dict[str, Array]:
+        """Return the divisors in formulas in k states, (k, n) by the name of the formula.
+
+        Products are given by their factors, and powers and roots by their bases. A formula may be
+        infinite where one of them vanishes.
+        """
+        return {}
+
     def turn_rate(self, t: Array) -> Array:
         """Return the largest rate at which constraints prescribe an angle at t, (k,); rad/s."""
         return np.zeros(len(t))
@@ -551,13 +562,6 @@ class ListedSystem(MechanicalSystem):
     @abc.abstractmethod
     def constraint_partials(self, t: Array, *motion: Array) -> Array:
         """Return the design derivatives of `constraint` at k times, shape (k, n_lam, n_b)."""
-
-
-def require_no_controllers(where: str, system: MechanicalSystem, repair: str) -> None:
-    """Raise InvalidInputError if the system has controllers with states."""
-    if system.controllers:
-        rule = "must have no controllers with states, which are not at rest in an equilibrium"
-        raise InvalidInputError(where, rule, listed(map(repr, system.controllers)), repair)
 
 
 class LaterSystem(MechanicalSystem):

@@ -101,6 +101,7 @@ class PhaseSystem(LaterSystem):
         self.n_q, self.n_lam, self.naming = base.n_q, base.n_lam, base.naming
         self.reach, self.vector_size = base.reach, base.vector_size
         self.called_functions, self.has_loops = base.called_functions, base.has_loops
+        self.divides = base.divides
         t_0 = float(np.real(start.t))
         self.traits = replace(
             base.traits,
@@ -468,6 +469,10 @@ class PhaseSystem(LaterSystem):
     def off_route(self, t: Array, q: Array, v: Array) -> tuple[int, str] | None:
         """Return the first of k states in which a guide or rope has left its route."""
         return self.base.off_route(self._times(t), q, v)
+
+    def divisors(self, t: Array, q: Array, v: Array) -> dict[str, Array]:
+        """Return the divisors in formulas in k states, (k, n) by the name of the formula."""
+        return self.base.divisors(self._times(t), q, v)
 
     def turn_rate(self, t: Array) -> Array:
         """Return the largest rate at which constraints prescribe an angle, (k,); rad/s."""

@@ -59,6 +59,9 @@ _SHORT = 200
 _FORESEEN, _STEADY = 400, 0.9
 # Number of foreseen events from which on a run warns. An event takes some ten milliseconds.
 _SLOW = 5_000
+# Number of foreseen steps under error control from which on a run warns, and least number of steps
+# that predict it. A step of a run with events takes up to 2 ms.
+_SLOW_STEPS, _TELLING = 10_000, 2_000
 _MANY = (
     f"At the rate of the last {_FORESEEN} events there would be more than {_MOST} until the end. "
     "Give impacts a lower restitution, and rest=..., the name of a mode with a joint that keeps "
@@ -83,7 +86,11 @@ class PhaseMarch:
     ) -> None:
         self._modes, self._t_end, self._integrator = modes, t_end, integrator
         self._jumps, self._thin, self._left = Jumps(modes, t_end), thin, 0
-        self._told = False
+        self._told = self._steps_told = False
+        self._chooses_steps = isinstance(integrator, HighOrder) or (
+            isinstance(integrator, SteppedIntegrator) and integrator.steps.kind == "controlled"
+        )
+        self._steps = 0
         self._window, self._size = t_end * _FIRST, 0.0
         self._contacts = _Contacts()
 
@@ -152,6 +159,7 @@ class PhaseMarch:
                 return self._ended(before, [*phases, replace(phase, event=None)], None)
             phase = replace(phase, jump=jump)
             phases.append(phase)
+            self._steps += phase.run.statistics.steps
             self._leave(phases, len(phases) - 1)
             bar.update(phase.duration)
             if jump.ends:
@@ -198,6 +206,7 @@ class PhaseMarch:
         while True:
             integrator = _in_steps(self._for_phase(state[0], window), window, finer)
             phase = integrated(Phase.planned(mode, state, first, window, integrator))
+            self._warn_of_steps(phase)
             found = first_event(phase, happened, self._t_end)
             if found is not None:
                 done = located(phase, found, happened, self._t_end)
@@ -211,6 +220,22 @@ class PhaseMarch:
                 return replace(phase, integrator=integrator.frozen(phase.run))
             else:
                 window = min(left, _GROWTH * window)
+
+    def _warn_of_steps(self, phase: Phase) -> None:
+        """Warn once if all steps up to the end of a phase predict very many until the run's end."""
+        t, steps = phase.t_0 + float(phase.run.t[-1]), self._steps + phase.run.statistics.steps
+        silent = self._steps_told or not (self._chooses_steps and phase.run.outcome.success)
+        if silent or steps < _TELLING or (self._t_end - t) * steps <= _SLOW_STEPS * t:
+            return
+        self._steps_told = True
+        message = (
+            f"about {(self._t_end - t) / t * steps:.2g} steps are to come if all are as short as "
+            f"those up to t = {t:.6g}, {t / steps:.2g} s: error control follows every vibration "
+            "and every contact. HHT(step) steps over those that do not matter "
+            "(docs/howto/integrator.md), and contacts with less stiffness allow longer steps. "
+            "Ctrl-C ends the run and keeps what is done."
+        )
+        warnings.warn(message, ManyStepsWarning, stacklevel=2)
 
     def _for_phase(self, t: float, window: float) -> Integrator:
         """Return the integrator of a phase of length `window`, s, that begins at t."""

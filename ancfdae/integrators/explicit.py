@@ -22,7 +22,7 @@ points within the step come from its dense output.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple, final
 
@@ -282,9 +282,9 @@ class _ExplicitMarch(March):
         state = stacked(first.q, first.v, *(b or ())[:2])
         _, rows, n = state.shape
         variables = np.concatenate([[1.0], s.b])[:rows, None]
-        rtol, floor = settings.rtol, _SMALL * settings.rtol * np.stack([s.q, s.v])[:, None]
-        place = np.broadcast_to(s.place, n)
-        self._tolerances = Tolerances(rtol, floor / variables, place, problem.system.vector_size)
+        rtol, floor = settings.rtol, _SMALL * settings.rtol * stacked(s.q, s.v)
+        vector = problem.system.vector_size
+        self._tolerances = Tolerances(rtol, floor / variables, s.place, vector)
         found = self._accelerations(0.0, state)
         h = self._first_step(state, found[:, :n])
         self._method = Dop853(problem.accelerations, 0.0, state, found, h)
@@ -379,8 +379,7 @@ class _ExplicitMarch(March):
         left, h = steps.spans[:, 0], np.diff(steps.spans, axis=1)[:, 0]
         t = left[:, None] + h[:, None] * tables().nodes[used]
         states, lam = (x.reshape(t.size, *x.shape[2:]) for x in (steps.states, steps.lam))
-        points, lam_b = _points(rule, h, t.ravel(), states), lam[:, 1:].swapaxes(1, 2)
-        yield replace(points, lam=lam[:, 0], lam_b=None if points.q_b is None else lam_b)
+        yield _points(rule, h, t.ravel(), states, lam)
         self._dense = True
         between = [x or self._repeated(steps, k) for k, x in enumerate(dense)]
         for n in _PANELS:
@@ -419,7 +418,9 @@ def _mean(x: Array) -> float:
     return math.sqrt(np.vdot(x, x) / x.size)
 
 
-def _points(rule: Rule, h: Array, t: Array, states: Array) -> Points:
-    q, v = states[:, 0], states[:, 1]
-    derivatives = (q[:, 1:].swapaxes(1, 2), v[:, 1:].swapaxes(1, 2)) if q.shape[1] > 1 else ()
-    return Points(rule, h, t, q[:, 0], v[:, 0], *derivatives)
+def _points(rule: Rule, h: Array, t: Array, states: Array, lam: Array | None = None) -> Points:
+    q, v, derivatives = states[:, 0], states[:, 1], states.shape[2] > 1
+    q_b, v_b, lam_b = (
+        x[:, 1:].swapaxes(1, 2) if derivatives and x is not None else None for x in (q, v, lam)
+    )
+    return Points(rule, h, t, q[:, 0], v[:, 0], q_b, v_b, None if lam is None else lam[:, 0], lam_b)

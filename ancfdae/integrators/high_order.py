@@ -52,9 +52,9 @@ _REMEDY = (
 )
 
 
-def pace(t_end: float) -> Pace:
+def pace(t_end: float, max_steps: int) -> Pace:
     """Return the counter that warns if a solver of high order will take many steps."""
-    return Pace(t_end, _MANY, _REMEDY, sure=True)
+    return Pace(t_end, _MANY, _REMEDY, max_steps, sure=True)
 
 
 @final
@@ -81,7 +81,7 @@ class March(abc.ABC):
     ) -> None:
         self.steps = self.iterations = self.factorisations = self.residuals = 0
         self.residual, self._t, self._t_end, self._max_steps = 0.0, 0.0, t_end, max_steps
-        self._pace, self._context = pace(t_end), context
+        self.pace, self._context = pace(t_end, max_steps), context
         self.stops: tuple[float, ...] = problem.system.breakpoints(t_end)
         # Contacts are checked at the states after steps, since output times may be far apart.
         self.contacts = problem.system.contacts()
@@ -108,8 +108,8 @@ class March(abc.ABC):
                 if isinstance(ends, Verdict):
                     return ends
                 for self._t in ends:
-                    if self._pace.stalls(self._t):
-                        return Verdict.ERROR_TEST
+                    if verdict := self.pace.ends_run(self._t):
+                        return verdict
                 if self.contacts and self._t > before:
                     within = before + (self._t - before) * np.array(self.parts)
                     states = self._states(np.append(within[:-1], self._t))
@@ -216,9 +216,10 @@ class HighOrder(QuadratureIntegrator):
         Given `intervals` are kept. A prescribed motion keeps the default number of intervals,
         because it is checked from one output time to the next.
         """
+        if self.intervals or system.n_lam == system.n_q:
+            return self
         times = np.linspace(0.0, t_end, INTERVALS + 1)
-        prescribed = system.n_lam == system.n_q
-        if self.intervals or prescribed or is_driven(system, times, system.start()[0].real):
+        if is_driven(system, times, system.start()[0].real):
             return self
         return replace(self, intervals=_FEW)
 
@@ -283,6 +284,7 @@ class HighOrder(QuadratureIntegrator):
             recorder.residuals = march.residuals
             recorder.factorisations += march.factorisations
             size = 0.0 if verdict is Verdict.FINISHED else march.residual
+            remedy = march.pace.advice if verdict is Verdict.STEPS_TOO_SHORT else remedy
         if verdict in (Verdict.NO_CONVERGENCE, Verdict.ERROR_TEST):
             last = recorder.last(1)
             remedy = lock(system, float(last.t[0]), last.q[0], t_end)

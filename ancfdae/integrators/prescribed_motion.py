@@ -26,13 +26,13 @@ from ancfdae.integrators.branch import (
     APART,
     CHANGED,
     SMALL,
-    Aim,
     Form,
     Place,
     closed,
     followed,
     to_singular,
 )
+from ancfdae.integrators.poles import passed_pole
 from ancfdae.integrators.recorder import Rows, SolutionRecorder
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
@@ -181,6 +181,9 @@ class Watch:
         if gone is not None:
             first, what = gone
             rows = Rows(*(x[:first] for x in rows))
+        over = passed_pole(self._system, rows) if self._system.divides else None
+        if over is not None:
+            return Lost(over[0], Verdict.POLE, over[1])
         lighter = None if self._inert else lost_mass(self._system, rows)
         if lighter is not None:
             return lighter
@@ -245,7 +248,7 @@ def _singular_within(system: MechanicalSystem, rows: Rows) -> float | None:
         step = Rows(*(x[k : k + 2] for x in rows))
         t, end = step.t.tolist()
         begin = closed(system, t, step.q[0], None)
-        reached = t if begin is None else to_singular(system, t, begin, end, _cubic(step))[0]
+        reached = t if begin is None else to_singular(system, t, begin, end, step.cubic)[0]
         if reached < end and _leads(system, step):
             return reached
     return None
@@ -257,7 +260,7 @@ def _leads(system: MechanicalSystem, step: Rows) -> bool:
     If output times are too far apart, the cubic is not the way of the motion between them.
     """
     (t, end), w = step.t.tolist(), system.weights
-    middle = _cubic(step)((t + end) / 2)
+    middle = step.cubic((t + end) / 2)
     found = closed(system, (t + end) / 2, middle, None)
     return found is not None and norm(found - middle, w) <= _OPEN * norm(
         np.diff(step.q, axis=0)[0], w
@@ -335,7 +338,7 @@ def _reached_otherwise(system: MechanicalSystem, step: Rows, taken: Array, known
         q, found = (closed(system, t, x, rows) for t, x in zip((begin, end), step.q, strict=True))
         if q is None or found is None:
             return several if prescribed else ""
-        guide = None if prescribed else _cubic(Rows(step.t, np.stack([q, found]), step.v))
+        guide = None if prescribed else Rows(step.t, np.stack([q, found]), step.v).cubic
         reached, place = followed(system, begin, q, end, guide, rows)
         if reached < end:
             # A motion with free directions may pass singular positions, where branches meet.
@@ -347,19 +350,6 @@ def _reached_otherwise(system: MechanicalSystem, step: Rows, taken: Array, known
         if np.all(known):
             break
     return ""
-
-
-def _cubic(step: Rows) -> Aim:
-    """Return the cubic in time through coordinates and velocities at the two ends of a step."""
-    (t, end), q, v = step
-    h = end - t
-
-    def at(time: float) -> Array:
-        s = (time - t) / h
-        ends = q[0] + s * s * (3 - 2 * s) * (q[1] - q[0])
-        return np.asarray(ends + h * s * (1 - s) * ((1 - s) * v[0] - s * v[1]))
-
-    return at
 
 
 def _turned(system: MechanicalSystem, rows: Rows, known: Array) -> Array:

@@ -70,10 +70,12 @@ def stacked(q: Array, v: Array, q_b: Array | None = None, v_b: Array | None = No
     of the result holds q and below it the columns of q_b as rows, entry [1] holds v and the columns
     of v_b.
     """
-    states = np.stack([q, v])[:, None]
-    if q_b is None or v_b is None:
-        return states
-    return np.concatenate([states, np.stack([q_b.T, v_b.T])], axis=1)
+    rows = 1 if q_b is None else 1 + q_b.shape[1]
+    states = np.empty((2, rows, len(q)), dtype=np.result_type(q, v))
+    states[:, 0] = q, v
+    if q_b is not None and v_b is not None:
+        states[:, 1:] = q_b.T, v_b.T
+    return states
 
 
 class Accelerations:
@@ -222,7 +224,7 @@ class CompiledAccelerations(Accelerations):
         """
         if np.iscomplexobj(q) or np.iscomplexobj(v):
             return super().rows(t, q, v)
-        return only(self.rows_of(np.array([t]), np.stack([q, v])[None]))
+        return only(self.rows_of(np.array([t]), np.array([[q, v]])))
 
     def rows_of(self, t: Array, states: Array) -> Array:
         """Return `rows` of k states, (k, 2, rows, n_q), as (k, rows, n_q + n_lam)."""
@@ -456,5 +458,6 @@ def vector_sizes(x: Array, d: int) -> Array:
 
     The last axis of x holds coordinates vector by vector.
     """
-    sizes = np.sqrt(np.mean(x.reshape(*x.shape[:-1], -1, d) ** 2, axis=-1))
-    return np.repeat(sizes, d, axis=-1)
+    squares = np.add.reduce(x.reshape(*x.shape[:-1], -1, d) ** 2, axis=-1)
+    sizes = np.sqrt(squares / d)
+    return sizes if d == 1 else np.repeat(sizes, d, axis=-1)

@@ -23,6 +23,14 @@ class Rows(NamedTuple):
     q: Array
     v: Array
 
+    def cubic(self, times: Array | float) -> Array:
+        """Return coordinates on the cubic through q and v at both of two rows, (..., n_q)."""
+        (t, end), q, v = self
+        h = end - t
+        s = (np.asarray(times)[..., None] - t) / h
+        ends = q[0] + s * s * (3 - 2 * s) * (q[1] - q[0])
+        return np.asarray(ends + h * s * (1 - s) * ((1 - s) * v[0] - s * v[1]))
+
 
 @final
 class SolutionRecorder:

@@ -15,6 +15,7 @@ differentiate 1 to 3 as they stand, so they are exact for projected starts too.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import NamedTuple, TypeAlias, final
 
 import numpy as np
@@ -124,7 +125,7 @@ def start_sensitivity(
     `Accelerations. rows` of a run that evaluates them anyway. By default they are solved for here.
     """
     t, q, v, a, lam = state
-    moves = _Moves.of(system, matrices, state)
+    moves = _Moves(system, matrices, state)
     q_b, v_b = _motion_sensitivity(system, state, moves)
     states = np.vstack([q, q_b.T]), np.vstack([v, v_b.T])
     if rows is not None:
@@ -148,13 +149,14 @@ def _motion_sensitivity(
     right = system.mass_times(q_start, q_sb)
     right = right - held_total(system, t, q_start, moves.dq, 0 * lam, q_sb)
     right = right - held_total(system, t, q, 0 * q, moves.sigma_q, held)
-    q_b, _ = solve(moves.moving, right, -system.constraint_total(t, (q,)))
+    side = -system.constraint_total(t, (q,))
+    q_b = solve(moves.moving, right, side)[0] if right.any() or side.any() else held
     # 2. (M (v - v_start) + Phi_q^T sigma_v)_total = 0 likewise.
     right = system.mass_times(q, v_sb) - held_total(system, t, q, moves.dv, moves.sigma_v, q_b)
     side = np.zeros((len(lam), system.n_b))
     if not system.traits.constant_constraints:
         side = -system.constraint_total(t, (q, v), (q_b, held))
-    v_b, _ = solve(moves.factors, right, side)
+    v_b = solve(moves.factors, right, side)[0] if right.any() or side.any() else held
     if type(system).start_pull_back is MechanicalSystem.start_pull_back:
         _refuse_inconsistent_derivatives(system, state, (q_sb, v_sb), (q_b, v_b))
     return q_b, v_b
@@ -195,33 +197,33 @@ def _refuse_inconsistent_derivatives(
 
 
 @final
-class _Moves(NamedTuple):
-    """Changes dq, dv from a declared to its consistent start, with multipliers sigma_q, sigma_v.
+class _Moves:
+    """Changes dq, dv from a declared to its consistent start, with multipliers sigma_q, sigma_v."""
 
-    `moving` are the factors of the differentiated matrix of step 1, `factors` of the matrix of step
-    2.
-    """
+    def __init__(
+        self, system: MechanicalSystem, matrices: SaddlePoint, state: InitialState
+    ) -> None:
+        self._at = system, matrices, state.q, state.t
+        self._start, v_start = system.start()
+        self.dq, self.dv = state.q - self._start, state.v - v_start
+        self.sigma_q = _project_position(system, matrices, self._start, state.t)[1]
+        self.sigma_v = np.zeros(system.n_lam)
+        if self.dv.any():
+            force = -system.mass_times(state.q, self.dv)
+            self.sigma_v = solve(self.factors, force, self.sigma_v)[1]
 
-    dq: Array
-    sigma_q: Array
-    dv: Array
-    sigma_v: Array
-    moving: Factorization
-    factors: Factorization
+    @cached_property
+    def factors(self) -> Factorization:
+        """Factors of the matrix of step 2."""
+        return _factor_mass(*self._at)
 
-    @staticmethod
-    def of(system: MechanicalSystem, matrices: SaddlePoint, state: InitialState) -> _Moves:
-        """Return how the declared start of a system is moved to its consistent start."""
-        q_start, v_start = system.start()
-        t, q, dq, dv = state.t, state.q, state.q - q_start, state.v - v_start
-        sigma_q = _project_position(system, matrices, q_start, t)[1]
-        sigma_v, moving = np.zeros(system.n_lam), None
-        if sigma_q.any() or (dq.any() and not system.traits.constant_mass):
-            moving = _factor_position(system, matrices, q_start, q, sigma_q, t)
-        factors = _factor_mass(system, matrices, q, t)
-        if dv.any():
-            sigma_v = solve(factors, -system.mass_times(q, dv), sigma_v)[1]
-        return _Moves(dq, sigma_q, dv, sigma_v, moving or factors, factors)
+    @cached_property
+    def moving(self) -> Factorization:
+        """Factors of the differentiated matrix of step 1."""
+        system, matrices, q, t = self._at
+        if self.sigma_q.any() or (self.dq.any() and not system.traits.constant_mass):
+            return _factor_position(system, matrices, self._start, q, self.sigma_q, t)
+        return self.factors
 
 
 class Covectors(NamedTuple):
@@ -293,7 +295,7 @@ def pull_back_start(
     one transposed solve for each of steps 3, 2 and 1, independent of the number of design
     variables.
     """
-    moves = _Moves.of(system, matrices, state)
+    moves = _Moves(system, matrices, state)
     if type(system).start_pull_back is MechanicalSystem.start_pull_back:
         # Checks the derivatives of the start; the transpose below costs as many complex steps.
         _motion_sensitivity(system, state, moves)
@@ -424,14 +426,16 @@ def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float)
     squared = values.real**2 / system.weights[pattern.columns]
     rows = np.sqrt(np.bincount(pattern.rows, squared, minlength=system.n_lam))
     rows = np.where(rows > 0, rows, 1.0)
-    asked = np.max(np.abs(acceleration_side(system, t, q, v).real) / rows, initial=0.0)
-    place = norm(q, system.weights)
-    speed = max(norm(v, system.weights), float(np.sqrt(place * asked)))
+    place, phi_rate = norm(q, system.weights), system.constraint(t, q, v)
+    speed = norm(v, system.weights)
+    if np.any(np.abs(phi_rate) > _CONSISTENT * speed * rows) or np.iscomplexobj(phi_rate):
+        asked = np.max(np.abs(acceleration_side(system, t, q, v).real) / rows, initial=0.0)
+        speed = max(speed, float(np.sqrt(place * asked)))
     # The size of a body is as good a measure of its coordinates as their distance from the
     # origin; |q| in the norm of M contains both.
     for what, phi, size in (
         ("positions", system.constraint(t, q), place),
-        ("velocities", system.constraint(t, q, v), speed),
+        ("velocities", phi_rate, speed),
     ):
         ratio = np.abs(phi.real) / rows
         if system.n_lam and np.any(ratio > _CONSISTENT * size):

@@ -160,68 +160,69 @@ const double *index_1_evaluated(const Index1System *s, int which, double t, cons
     return s->numbers;
 }
 
-/* Forms the scaled matrix at a state and exchanges its rows. */
+/* Forms the scaled matrix at a state, column by column, and its factors L U with rows exchanged; the
+ * diagonal of U is inverted. */
 int index_1_factored(const Index1System *s, double t, const double *state)
 {
     Size n = s->n, size = n + s->m;
     const int32_t *out = s->lists[MATRIX]->outputs;
     const double *numbers = index_1_evaluated(s, MATRIX, t, state, nullptr, 0, 1), *d = s->scale;
-    double *K = s->K, largest = 0;
+    double *K = s->K, largest = 0, sum = 0;
     for (Size i = 0; i < n; i++)
         for (Size j = 0; j < n; j++)
-            K[i * size + j] = numbers[*out++] * d[i] * d[j];
+            K[j * size + i] = numbers[*out++] * d[i] * d[j];
     for (Size i = n; i < size; i++) {
         for (Size j = 0; j < n; j++)
             K[j * size + i] = K[i * size + j] = numbers[*out++] * d[i] * d[j];
         memset(K + i * size + n, 0, (size_t)s->m * sizeof *K);
     }
     for (Size i = 0; i < size * size; i++) {
-        if (!isfinite(K[i]))
-            return NOT_FINITE;
-        largest = fmax(largest, fabs(K[i]));
+        double entry = fabs(K[i]);
+        sum += 0 * entry, largest = entry > largest ? entry : largest;
     }
+    if (sum != 0)
+        return NOT_FINITE;
     for (Size k = 0; k < size; k++) {
+        double *__restrict column = K + k * size;
         Size best = k;
         for (Size i = k + 1; i < size; i++)
-            if (fabs(K[i * size + k]) > fabs(K[best * size + k]))
+            if (fabs(column[i]) > fabs(column[best]))
                 best = i;
         s->exchanged[k] = (int)best;
-        if (!(fabs(K[best * size + k]) > ROUND_OFF * largest))
+        if (!(fabs(column[best]) > ROUND_OFF * largest))
             return SINGULAR;
-        if (best != k)
-            for (Size j = 0; j < size; j++) {
-                double kept = K[k * size + j];
-                K[k * size + j] = K[best * size + j], K[best * size + j] = kept;
-            }
-        double inverse = 1 / K[k * size + k];
-        for (Size i = k + 1; i < size; i++) {
-            double factor = K[i * size + k] *= inverse;
-            if (factor != 0)
-                for (Size j = k + 1; j < size; j++)
-                    K[i * size + j] -= factor * K[k * size + j];
+        for (Size j = 0; best != k && j < size; j++)
+            std::swap(K[j * size + k], K[j * size + best]);
+        double inverse = column[k] = 1 / column[k];
+        for (Size i = k + 1; i < size; i++)
+            column[i] *= inverse;
+        for (Size j = k + 1; j < size; j++) {
+            double *__restrict to = K + j * size, factor = to[k];
+            for (Size i = k + 1; factor != 0 && i < size; i++)
+                to[i] -= column[i] * factor;
         }
     }
     return SOLVED;
 }
 
 /* Solves in place for a right side of the unscaled equations. */
-void index_1_solved(const Index1System *s, double *x)
+void index_1_solved(const Index1System *s, double *__restrict x)
 {
     Size size = s->n + s->m;
-    const double *K = s->K;
+    const double *__restrict K = s->K;
     for (Size i = 0; i < size; i++)
         x[i] *= s->scale[i];
+    for (Size k = 0; k < size; k++)
+        std::swap(x[k], x[s->exchanged[k]]);
     for (Size k = 0; k < size; k++) {
-        double kept = x[k];
-        x[k] = x[s->exchanged[k]], x[s->exchanged[k]] = kept;
+        double known = x[k];
+        for (Size i = k + 1; i < size; i++)
+            x[i] -= K[k * size + i] * known;
     }
-    for (Size i = 1; i < size; i++)
-        for (Size j = 0; j < i; j++)
-            x[i] -= K[i * size + j] * x[j];
-    for (Size i = size - 1; i >= 0; i--) {
-        for (Size j = i + 1; j < size; j++)
-            x[i] -= K[i * size + j] * x[j];
-        x[i] /= K[i * size + i];
+    for (Size k = size - 1; k >= 0; k--) {
+        double known = x[k] *= K[k * size + k];
+        for (Size i = 0; i < k; i++)
+            x[i] -= K[k * size + i] * known;
     }
     for (Size i = 0; i < size; i++)
         x[i] *= s->scale[i];

@@ -27,9 +27,17 @@ template <class T> INLINE void list_evaluated_(const Operations *p, Size lanes, 
     }
 }
 
+/* The loops over few lanes are unrolled by the compiler, which knows their number. */
 template <class T> void list_evaluated(const Operations *p, Size lanes, T *x)
 {
-    widely<T>([=]() ALWAYS { return list_evaluated_<T>(p, lanes, x); });
+    widely<T>([=]() ALWAYS {
+        if (lanes == 1)
+            list_evaluated_<T>(p, 1, x);
+        else if (lanes == 2)
+            list_evaluated_<T>(p, 2, x);
+        else
+            list_evaluated_<T>(p, lanes, x);
+    });
 }
 
 /* Outputs, (k, n_outputs), of inputs: number j in row i is from[j][i * step[j]]. Work holds

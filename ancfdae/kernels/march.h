@@ -42,8 +42,7 @@ template <class T> INLINE void csr_times(const Csr<T> *m, const T *x, T *out)
 enum { AT_END, AT_START, AT_GAUSS, RATE_AT_GAUSS = AT_GAUSS + 3, ALL_INSTANTS = RATE_AT_GAUSS + 3 };
 /* Corrections from a guess close to the solution shrink by this factor at least. */
 #define CLOSE 0.5
-/* Iterations after the real part has settled: the imaginary part lags it by one, and one is for its
- * round-off. */
+/* Iterations after the real part has settled: one for the imaginary part, and one for its round-off. */
 template <class T> constexpr int LAG = std::is_same<T, double>::value ? 0 : 2;
 
 /* A load that moves, whether it uses velocities, and its first factor in a row. */
@@ -527,7 +526,7 @@ Complex joined(const double *x, Size n, Complex) { return {x[0], x[n]}; }
  * 0, or as `factor_sum`. */
 template <class T>
 int corrected(const Plan<T> *of, Room<T> *from, const StepCoefficients *c, const T *of_loads,
-              int fresh)
+              int fresh, double enough)
 {
     auto [p, r, loads] = real_state(of, from, of_loads);
     Size n = p->n_q + p->n_lam;
@@ -536,7 +535,7 @@ int corrected(const Plan<T> *of, Room<T> *from, const StepCoefficients *c, const
     int failed = fresh ? factorised(p, r, c, loads) : 0;
     parted<T>(n, from->R, right);
     if (!failed)
-        failed = solved_rows(p, r, c, 'N', ENOUGH, PARTS<T>, right, x);
+        failed = solved_rows(p, r, c, 'N', enough, PARTS<T>, right, x);
     for (Size i = 0; i < n; i++)
         from->x[i] = joined(x + i, n, T(0));
     return failed;
@@ -576,7 +575,8 @@ template <class T>
 double at_rest(const Plan<T> *of, Room<T> *from, const T *of_loads, double tolerance)
 {
     auto [p, r, factors] = real_state(of, from, of_loads);
-    std::vector<double> left((size_t)p->n_q), values((size_t)p->nnz);
+    int known = p->own || p->n_moving; /* whether some f_q is not elastic */
+    std::vector<double> left((size_t)p->n_q), values(p->own || !known ? 0 : (size_t)p->nnz);
     if (p->own)
         p->own->force(factors[0], r->q, r->v, left.data());
     else
@@ -591,7 +591,7 @@ double at_rest(const Plan<T> *of, Room<T> *from, const T *of_loads, double toler
                            r->q, r->v, r->of_load, left.data());
     for (double &each : left)
         each *= tolerance;
-    for (int velocity = 0; velocity <= p->velocity; velocity++) {
+    for (int velocity = 0; known && velocity <= p->velocity; velocity++) {
         const double *x = velocity ? r->v : r->q, *f = velocity ? r->f_v : r->f_q;
         if (!p->own) {
             std::fill(values.begin(), values.end(), 0.0);
@@ -616,7 +616,7 @@ int iterated(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Befo
              const Attempt<T> *how, Ending *ending)
 {
     const MarchRules *rules = &p->rules;
-    double last = INFINITY, tolerance = how->tolerance;
+    double last = INFINITY, gap_before = INFINITY, tolerance = how->tolerance;
     double motion = motion_before > DBL_MIN ? rules->jump * motion_before : INFINITY;
     int fresh = 1, settled = 0, lag = tolerance == rules->tolerance ? LAG<T> : 0;
     ending->size = INFINITY, ending->slowest = 0;
@@ -624,7 +624,9 @@ int iterated(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Befo
         r->counts[0]++;
         if (!(i ? residual_at<T>(p, r, c, b, of_joints, of_loads, small) : finite))
             return RESIDUAL_NOT_FINITE;
-        int failed = corrected(p, r, c, of_loads + AT_END * p->n_factors, fresh);
+        double gap = unbalanced<T>(p, r);
+        int failed = corrected(p, r, c, of_loads + AT_END * p->n_factors, fresh,
+                               settled ? TO_ROUND_OFF : ENOUGH);
         if (failed)
             return failed;
         for (Size k = 0; k < p->n_q; k++)
@@ -644,30 +646,35 @@ int iterated(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Befo
         /* Corrections of a fresh matrix are round-off; of stiff bodies far from balance corrections
          * are small too, and forces must balance. */
         int stuck = fresh && rate > 0.5 && size <= rules->round_off &&
-                    unbalanced<T>(p, r) <= rules->round_off * now;
+                    gap <= rules->round_off * now;
         if (!stuck && i >= USUAL && lost<T>(p, r->q, c->in_q * size_of<T>(p->n_q, r->x, p->weights)))
-            stuck = unbalanced<T>(p, r) <=
-                    at_rest<T>(p, r, of_loads + AT_END * p->n_factors, rules->tolerance);
+            stuck = gap <= at_rest<T>(p, r, of_loads + AT_END * p->n_factors, rules->tolerance);
         if (!stuck && last < INFINITY && size > rules->round_off) {
             ending->slowest = fmax(ending->slowest, rate);
             if (rate > how->allowed)
                 return NO_CONVERGENCE;
         }
+        /* The first correction may be a motion and the second one a strain: then only forces, beyond
+         * their round-off, show how far the next one is. */
+        double falls = gap > rules->round_off * now ? fmin(gap / gap_before, 1) : 0;
+        double slower = last < INFINITY ? fmax(rate, falls) : rate;
         /* Quadratic convergence squares the rate again. */
-        double left = size * (fresh ? fmin(1, rate * rate) : rate / fmax(1 - rate, 1e-3));
+        double left = size * (fresh ? fmin(1, slower * slower) : slower / fmax(1 - slower, 1e-3));
         if (settled || stuck || left <= tolerance || size <= tolerance) {
             if (settled++ == 0)
                 r->counts[2] += stuck || blurred<T>(p, r);
             ending->motion = now;
             if (settled > lag)
                 return 0;
-            fresh = 0; /* The imaginary part has shrunk as the real one, an iteration later. */
+            /* The matrix of the solution gives the imaginary part, and then its round-off. With the
+             * one before it shrinks as the real part has, which may begin far nearer. */
+            fresh = settled == 1;
         } else if (last < INFINITY)
             fresh = rate > rules->slow ||
                     (size < rules->near && size * (rate * rate * rate) > tolerance);
         else
             fresh = size > rules->slow || how->allowed < INFINITY;
-        last = size;
+        last = size, gap_before = gap;
     }
     return NO_CONVERGENCE;
 }

@@ -111,7 +111,13 @@ class Scene(SceneDesign):
         if self.frame is not None:
             require_frame("Scene.frame", self.frame)
             self.frame.check(self.dimension, self.gravity)
-            self._check_states("Scene.frame", self.loads, "Declare the scene in a frame at rest.")
+            names = [load.name for load in self.loads if load.states]
+            if names:
+                rule, repair = (
+                    "must have no load with states",
+                    "Declare the scene in a frame at rest.",
+                )
+                raise InvalidInputError("Scene.frame", rule, listed(names), repair)
         object.__setattr__(self, "start", tuple(map(self._checked_start, self.start)))
         if self.rest is not None:
             self._check_rest(self.rest)
@@ -240,9 +246,6 @@ class Scene(SceneDesign):
 
     def _check_rest(self, rest: EquilibriumStart) -> None:
         """Raise InvalidInputError if an `EquilibriumStart` is given with initial velocities."""
-        its = self.loads if rest.loads is None else rest.loads
-        repair = "Write EquilibriumStart(loads=[...]) with loads that hold the mechanism at rest."
-        self._check_states("EquilibriumStart.loads", its, repair)
         if rest.gravity is not None:
             require_vector("EquilibriumStart.gravity", rest.gravity, (self.dimension,))
         starts = self.body_starts
@@ -254,13 +257,12 @@ class Scene(SceneDesign):
                 listed(type(start).__name__ for start in self.start),
                 "Leave out what moves; the search starts from a NodalState.",
             )
-
-    @staticmethod
-    def _check_states(where: str, loads: Sequence[Load], repair: str) -> None:
-        """Raise InvalidInputError if one of the loads has states."""
-        names = [load.name for load in loads if load.states]
-        if names:
-            raise InvalidInputError(where, "must have no load with states", listed(names), repair)
+        for joint in self.joints:
+            numbers = np.array(list(joint.parameters().values()))
+            if joint.states and np.any(joint.initial_states(numbers)):
+                rule = "guides must not slide at the start from an equilibrium"
+                value = f"a speed of {joint.name!r}"
+                raise InvalidInputError("Scene.start", rule, value, "Leave out its speed.")
 
     def _check_assembly(self) -> None:
         """Check the names in `lead`, and that no bodies are attached to one another in a circle."""

@@ -88,8 +88,9 @@ class EquilibriumStart:
     """Start from static equilibrium, for example of a hanging or pre-stressed mechanism.
 
     The search for the equilibrium starts from the reference configuration, or from the `NodalState`
-    of a beam. Design derivatives of the motion include those of the equilibrium. An unstable
-    equilibrium raises a `StabilityWarning`.
+    of a beam. Design derivatives of the motion include those of the equilibrium. States of
+    controllers among `loads` are in equilibrium, too; other states start as declared. An unstable
+    equilibrium raises a `StabilityWarning`, except with controllers, whose stability is not judged.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from ancfdae.errors.kinds import AncfdaeError, InvalidInputError
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.modes.damped import damped
 from ancfdae.modes.derivatives import PullBack, differentiate, differentiate_back
-from ancfdae.modes.eigenpairs import Eigenpairs, coincident
+from ancfdae.modes.eigenpairs import Eigenpairs, coincident, without_idle
 from ancfdae.modes.linearised import LinearisationPoint, Linearised
 from ancfdae.modes.precise import NoModes
 from ancfdae.modes.result import ModeDerivatives, ModeKind, Modes
@@ -22,6 +22,7 @@ from ancfdae.modes.undamped import undamped
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.numerics.threads import in_one_thread
+from ancfdae.statics.controlled import about_states
 from ancfdae.statics.outcome import motions_in_words
 
 # A group of coinciding modes, such as a pair of a square bar, is completed by at most GROUP modes
@@ -93,7 +94,9 @@ def modes_about(
     are differentiated directly, along the derivatives of the configuration.
     """
     small = Linearised.of(system, at, damped, saddle, mass)
-    pairs = solve(small, count, highest, whole=system.n_b > 0)
+    pairs = solve(small, count + len(small.idle), highest, whole=system.n_b > 0)
+    if len(small.idle):
+        pairs = without_idle(small, pairs)
     mu = small.multipliers(pairs.z, pairs.X)
     groups = coincident(pairs)
     s, derivatives = exponents(small, pairs.z), None
@@ -120,6 +123,17 @@ def modes_about(
         motions_in_words(system.naming, at.q, rigid) if rigid.size else "",
         derivatives,
     )
+
+
+def growth(system: MechanicalSystem, at: LinearisationPoint) -> complex | None:
+    """Return the exponent of a motion that grows, of a controlled system about a configuration.
+
+    None if none of its motions grows.
+    """
+    small = Linearised.of(system, at, True)
+    pairs = solve(small, 1 + len(small.idle), False)
+    first = complex(pairs.z[np.argmax(pairs.z.real)])
+    return first if first.real > 0 else None
 
 
 def exponents(small: Linearised, z: Array) -> Array:
@@ -212,14 +226,17 @@ _CURED_BY_STEP = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.STEP_LIMIT
 
 
 @in_one_thread
-def advice(system: MechanicalSystem, t: float, q: Array, lam: Array) -> str:
+def advice(system: MechanicalSystem, t: float, q: Array, v: Array, lam: Array) -> str:
     """Return advice on the step: periods of small motions about a state; empty without any.
+
+    Of the velocities v states of controllers count, which forces depend on.
 
     The text is empty for systems of more than _QUICK coordinates, too: a message must not take
     longer than the run that ends with it.
     """
     if system.n_q > _QUICK:
         return ""
+    system = about_states(system, v)
     try:
         with np.errstate(all="ignore"):
             near = suggestion(system, LinearisationPoint(q, lam, t=t), 1.0, None)
@@ -236,7 +253,7 @@ def advised(system: MechanicalSystem, run: Solution) -> Solution:
     outcome = run.outcome
     if outcome.verdict not in _CURED_BY_STEP or not len(run.t) or np.iscomplexobj(run.q):
         return run
-    periods = advice(system, float(run.t[-1]), run.q[-1], run.lam[-1])
+    periods = advice(system, float(run.t[-1]), run.q[-1], run.v[-1], run.lam[-1])
     if not periods or periods in outcome.advice:  # as in a run that failed in its first step
         return run
     return replace(run, outcome=replace(outcome, advice=f"{outcome.advice} {periods}".lstrip()))

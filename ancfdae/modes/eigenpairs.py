@@ -32,19 +32,25 @@ _DISTINCT, _KEPT = 1e-10, 0.5
 
 
 def rigid_motions(small: Linearised) -> Array:
-    """Return all rigid motions as columns, shape (n_q, count), orthonormal in M."""
-    root, count = np.sqrt(small.system.weights)[:, None], _FIRST
-    random = np.random.default_rng(3)
+    """Return all rigid motions as columns, shape (n_q, count), orthonormal in M.
+
+    Those of `Linearised.idle` are known, and come first.
+    """
+    root, count, random = np.sqrt(small.system.weights)[:, None], _FIRST, np.random.default_rng(3)
+    known = np.zeros((len(root), len(small.idle)))
+    known[small.idle, np.arange(len(small.idle))] = 1 / root[small.idle, 0]
+    most = small.n_free - len(small.idle)
     while True:
-        count = min(count, small.n_free)
+        count = min(count, most)
         X = random.standard_normal((len(root), count)) / root
         factors = _beside(small, ROUND_OFF * EPS * small.size)
         for _ in range(_SWEEPS):
             X = small.solve(factors, small.times(small.M, X))
+            X[small.idle] = 0.0
             X = distinct(X, small.times(small.M, X))
         R, _ = separated(small, _soft(small, X))
-        if R.shape[1] < count or count == small.n_free:
-            return R
+        if R.shape[1] < count or count == most:
+            return np.hstack([known, R])
         count *= _MORE
 
 
@@ -164,6 +170,25 @@ class Eigenpairs:
         groups = coincident(self)
         stop = next(g[-1] + 1 for g in groups if g[-1] + 1 >= min(count, len(self.z)))
         return Eigenpairs(self.z[:stop], self.X[:, :stop], self.noise[:stop])
+
+
+def without_idle(small: Linearised, pairs: Eigenpairs) -> Eigenpairs:
+    """Return the pairs without the motions at z = 0 of `Linearised.idle` alone."""
+    still = pairs.z == 0
+    R = pairs.X[:, still].real
+    R[small.idle] = 0.0
+    # The columns had the length one: what is left of a motion of idle coordinates is round-off.
+    squares, V = _gram(small, R) if R.size else (np.zeros(0), np.zeros((0, 0)))
+    kept = squares > _DISTINCT
+    R = R @ V[:, kept] / np.sqrt(squares[kept])
+    first, count = int(np.argmax(still)), int(np.sum(still))
+    ahead, behind = slice(0, first), slice(first + count, None)
+    none = np.zeros(R.shape[1])
+    return Eigenpairs(
+        np.concatenate([pairs.z[ahead], none, pairs.z[behind]]),
+        np.hstack([pairs.X[:, ahead], R, pairs.X[:, behind]]),
+        np.concatenate([pairs.noise[ahead], none, pairs.noise[behind]]),
+    )
 
 
 def coincident(pairs: Eigenpairs) -> list[list[int]]:

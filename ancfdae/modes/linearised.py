@@ -18,7 +18,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.equations import MechanicalSystem, Solution, reaction, require_no_controllers
+from ancfdae.equations import MechanicalSystem, Solution, reaction
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors.checks import require_array
 from ancfdae.errors.kinds import InvalidInputError, SingularMatrix
@@ -26,6 +26,7 @@ from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.statics.balance import Balance
+from ancfdae.statics.controlled import idle_of
 
 
 @final
@@ -44,7 +45,11 @@ class LinearisationPoint:
     t : float
         Time at which prescribed motions are evaluated; s.
     v : array, shape (n_q,), or None
-        Velocities of this configuration, which must be small; None for zero velocity.
+        Velocities of this configuration, which must be small except for states of controllers; None
+        for zero velocity.
+    v_b : array, shape (n_q, n_b), or None
+        Design derivatives of v, of which those of states count; None if states do not depend on the
+        design.
     """
 
     q: Array
@@ -53,6 +58,7 @@ class LinearisationPoint:
     lam_b: Array | None = None
     t: float = 0.0
     v: Array | None = None
+    v_b: Array | None = None
 
     def __repr__(self) -> str:
         sizes = f"{len(self.q)} coordinates, {len(self.lam)} multipliers"
@@ -86,6 +92,7 @@ class LinearisationPoint:
             None if sensitivities is None else sensitivities.lam_b[instant],
             float(solution.t[instant]),
             solution.v[instant],
+            None if sensitivities is None else sensitivities.v_b[instant],
         )
 
     def check(self, system: MechanicalSystem) -> None:
@@ -98,12 +105,16 @@ class LinearisationPoint:
             require_array("LinearisationPoint.lam_b", self.lam_b, (system.n_lam, system.n_b))
         if self.v is not None:
             require_array("LinearisationPoint.v", self.v, (system.n_q,))
+        if self.v_b is not None:
+            require_array("LinearisationPoint.v_b", self.v_b, (system.n_q, system.n_b))
 
 
 EPS = float(np.finfo(float).eps)
 # Number of operations in an entry of K and a product with it, with a margin: a value below this
 # many units of round-off of its terms counts as zero.
 ROUND_OFF = 64
+# Factors by which the change of a singular F(z) is raised until F(z) can be factorised.
+_RAISED = (1.0, 1e3, 1e6)
 
 
 @final
@@ -141,8 +152,6 @@ class Linearised:
 
         InvalidInputError if the configuration does not fit the system or a matrix is not finite.
         """
-        repair = "Leave them out for the modes of the mechanism."
-        require_no_controllers("modes and suggest_step", system, repair)
         at.check(system)
         _refuse_motion(system, at)
         rest = np.zeros((1, system.n_q))
@@ -180,6 +189,11 @@ class Linearised:
     def n_modes(self) -> int:
         """Largest number of modes: `n_free`, or twice as many with damping."""
         return self.n_free if self.D is None else 2 * self.n_free
+
+    @cached_property
+    def idle(self) -> Array:
+        """Indices of coordinates of which states are the rates, and which no force depends on."""
+        return idle_of(self.system)
 
     @cached_property
     def symmetric(self) -> bool:
@@ -241,15 +255,22 @@ class Linearised:
     def factor_beside(self, z: complex) -> tuple[Factorization, bool]:
         """Return the factors of F(z) for inverse iteration, and whether F(z) was singular.
 
-        A singular F(z) is factorised with its diagonal changed by round-off.
+        A singular F(z) is factorised as F(z) + dz F'(z), which has the same shape at z: F x = 0
+        makes y = x / dz solve (F + dz F') y = F' x. The change is round-off of F; where damping is
+        large that may be too small for a shape, and is raised.
         """
         F = self.matrix(z)
         try:
             return self.saddle.factor(F, self.Phi_q), False
         except SingularMatrix:
-            moved, size = F.copy(), max(self.size, self.largest(F))
-            moved[self.system.pattern.diagonal] += ROUND_OFF * EPS * size * self.system.weights
-            return self.saddle.factor(moved, self.Phi_q), True
+            slope, size = self.slope(z), max(self.size, self.largest(F))
+            change = ROUND_OFF * EPS * size / self.largest(slope) * slope
+        for times in _RAISED:
+            try:
+                return self.saddle.factor(F + times * change, self.Phi_q), True
+            except SingularMatrix as error:
+                singular = error
+        raise singular
 
     @cached_property
     def size(self) -> float:
@@ -314,13 +335,17 @@ _AT_REST = 1e-6
 
 def _refuse_motion(system: MechanicalSystem, at: LinearisationPoint) -> None:
     """Reject a rotating state: its centrifugal force M v^2/|q| adds a stiffness."""
-    if at.v is None or not np.any(at.v):
+    if at.v is None:
+        return
+    v = np.array(at.v)
+    v[system.state_places] = 0.0
+    if not np.any(v):
         return
     inverse = 1 / system.weights
     still = np.zeros(system.n_q)
     forces = norm(system.force(at.t, at.q, still), inverse)
     forces += norm(reaction(system, at.t, at.q, at.lam), inverse)
-    turning = norm(at.v, system.weights) ** 2 / (norm(at.q, system.weights) or 1.0)
+    turning = norm(v, system.weights) ** 2 / (norm(at.q, system.weights) or 1.0)
     if turning > _AT_REST * forces:
         raise InvalidInputError(
             "modes, at",

@@ -44,6 +44,11 @@ _CODES: dict[Any, int] = {
 _CALL, _RESULT = "call", "result"
 _CODES |= {_CALL: len(_CODES), _RESULT: len(_CODES) + 1}
 _FUNCTIONS = tuple(_CODES)
+_ADD, _SUBTRACT, _MULTIPLY, _DIVIDE = (_CODES[x] for x in _OF_TWO[:4])
+# Codes of functions that are infinite where a divisor vanishes, and functions that vanish with
+# their first number.
+_DIVIDING = [_CODES[x] for x in (np.divide, np.reciprocal, np.power, np.tan)]
+_OF_BASE = frozenset((np.negative, np.square, np.sqrt, np.power, np.divide))
 # Integer exponents up to this are written as products (`kernels/trace.h`).
 _PRODUCTS = 64
 # How formulas with kinks are written, for messages.
@@ -84,8 +89,9 @@ class Operations:
         self.trace = OperationTrace(n_inputs)
         self._calls: list[tuple[Callee, tuple[int, ...]]] = []
         self._called: dict[tuple[int, ...], int] = {}
-        #: Numbers of roots and powers with fractional exponents, with the user's line of code.
-        self.roots: dict[int, str] = {}
+        #: Numbers of roots and powers with fractional exponents, with the file and the line of the
+        #: user's code.
+        self.roots: dict[int, tuple[str, int]] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the operations as rows, from which `__setstate__` writes them again."""
@@ -177,6 +183,35 @@ class Operations:
         """Return the operations on which outputs depend: numbers, functions and arguments."""
         rows = self.trace.rows(_numbers(outputs)).tolist()
         return [(number, _FUNCTIONS[code], x, y) for number, code, x, y in rows]
+
+    def divisors(self, outputs: Array) -> Array:
+        """Return the numbers of the divisors on which outputs depend, (n,), ascending.
+
+        Products and quotients are given by their factors, roots and powers by their bases, the
+        divisor of a tangent is the cosine. Constants and functions without zeros are left out.
+        """
+        rows = self.trace.rows(_numbers(outputs))
+        if not np.isin(rows[:, 1], _DIVIDING).any():
+            return np.zeros(0, np.int64)
+        made = {number: (_FUNCTIONS[code], x, y) for number, code, x, y in rows.tolist()}
+        waiting, found = list[int](), set[int]()
+        for function, x, y in made.values():
+            if function is np.divide:
+                waiting.append(y)
+            elif function is np.reciprocal or (function is np.power and self.value(y).real < 0):
+                waiting.append(x)
+            elif function is np.tan:
+                waiting.append(self.apply(np.cos, x))
+        while waiting:
+            number = waiting.pop()
+            function, x, y = made.get(number, (None, 0, 0))
+            if function is np.multiply:
+                waiting += [x, y]
+            elif function in _OF_BASE:
+                waiting.append(x)
+            elif number >= 0 and function not in (np.exp, np.cosh):
+                found.add(number)
+        return np.array(sorted(found), dtype=np.int64)
 
     def arrays(self, results: Array) -> tuple[Array, ...]:
         """Return constants, operations with both arguments, and results, for formulas of loads.
@@ -324,9 +359,12 @@ class Traced(StandIn):
     def _with(self, code: int, other: Any, reflected: bool = False) -> Any:
         """Return an operation on this and another number, which comes first if `reflected`."""
         operations, x = self.operations, self.at
-        if isinstance(other, np.ndarray):
+        if type(other) is Traced:
+            y = other.at
+        elif isinstance(other, np.ndarray):
             return NotImplemented  # NumPy then applies the operation entry by entry.
-        y = other.at if type(other) is Traced else _number(operations, other)
+        else:
+            y = _number(operations, other)
         at = operations.trace.apply(code, *((y, x) if reflected else (x, y)))
         return Traced(operations, at)
 
@@ -337,28 +375,28 @@ class Traced(StandIn):
     # Arithmetic.
 
     def __add__(self, other: Any) -> Any:
-        return self._with(_CODES[np.add], other)
+        return self._with(_ADD, other)
 
     def __radd__(self, other: Any) -> Any:
-        return self._with(_CODES[np.add], other, reflected=True)
+        return self._with(_ADD, other, reflected=True)
 
     def __sub__(self, other: Any) -> Any:
-        return self._with(_CODES[np.subtract], other)
+        return self._with(_SUBTRACT, other)
 
     def __rsub__(self, other: Any) -> Any:
-        return self._with(_CODES[np.subtract], other, reflected=True)
+        return self._with(_SUBTRACT, other, reflected=True)
 
     def __mul__(self, other: Any) -> Any:
-        return self._with(_CODES[np.multiply], other)
+        return self._with(_MULTIPLY, other)
 
     def __rmul__(self, other: Any) -> Any:
-        return self._with(_CODES[np.multiply], other, reflected=True)
+        return self._with(_MULTIPLY, other, reflected=True)
 
     def __truediv__(self, other: Any) -> Any:
-        return self._with(_CODES[np.divide], other)
+        return self._with(_DIVIDE, other)
 
     def __rtruediv__(self, other: Any) -> Any:
-        return self._with(_CODES[np.divide], other, reflected=True)
+        return self._with(_DIVIDE, other, reflected=True)
 
     def __neg__(self) -> Any:
         return self._of(_CODES[np.negative])
@@ -381,6 +419,8 @@ class Traced(StandIn):
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
         """Apply a function of NumPy to this number and others, which may be plain numbers."""
+        if len(inputs) == 1 and ufunc in _METHODS and method == "__call__" and not kwargs:
+            return getattr(self, ufunc.__name__)()
         return _applied(ufunc, method, inputs, kwargs)
 
     # Functions.
@@ -393,9 +433,7 @@ class Traced(StandIn):
         frame = sys._getframe(2)
         while frame.f_back is not None and frame.f_code.co_filename.startswith(_OWN):
             frame = frame.f_back
-        name, line = frame.f_code.co_filename, frame.f_lineno
-        text = linecache.getline(name, line).strip()
-        self.operations.roots[root.at] = f"line {line} of {Path(name).name}, `{text}`"
+        self.operations.roots[root.at] = frame.f_code.co_filename, frame.f_lineno
         return root
 
     def exp(self) -> Traced:  # noqa: D102
@@ -494,6 +532,12 @@ class Traced(StandIn):
 TRACE_FAILURES = (NotTraceable, *FAILURES)
 
 
+def line_of(place: tuple[str, int]) -> str:
+    """Return a line of a user's code, given by its file and its number, in words."""
+    name, line = place
+    return f"line {line} of {Path(name).name}, `{linecache.getline(name, line).strip()}`"
+
+
 def told(error: Exception) -> str:
     """Return the line of a user's code at which tracing ended, and the reason."""
     frames = traceback.extract_tb(error.__traceback__)
@@ -525,7 +569,7 @@ def _applied(ufunc: np.ufunc, method: str, inputs: Sequence[Any], kwargs: dict[s
     """Return a NumPy function of arrays of symbols as an array of symbols, or as a tracer."""
     single = not any(isinstance(x, np.ndarray | list | tuple) for x in inputs)
     if single and method == "__call__" and not kwargs and ufunc in _OF_NUMBERS:
-        operations = next(x.operations for x in inputs if isinstance(x, Traced))
+        operations = next(x.operations for x in inputs if type(x) is Traced)
         first, *others = (Traced(operations, _number(operations, x)) for x in inputs)
         if ufunc in _METHODS:
             return getattr(first, ufunc.__name__)(*others)
@@ -535,7 +579,7 @@ def _applied(ufunc: np.ufunc, method: str, inputs: Sequence[Any], kwargs: dict[s
             y.operations
             for x in inputs
             for y in np.asarray(x).ravel().tolist()
-            if isinstance(y, Traced)
+            if type(y) is Traced
         )
         inputs = [Traced.array(operations, Traced.numbers(operations, x)) for x in inputs]
     plain = [np.asarray(x).view(np.ndarray) for x in inputs]
@@ -551,7 +595,7 @@ def _refuse(what: str) -> NoReturn:
 
 def _number(operations: Operations, x: Any) -> int:
     """Return the operation number of a tracer or of a real constant."""
-    if isinstance(x, Traced):
+    if type(x) is Traced:
         return x.at
     if isinstance(x, complex):
         _refuse("a complex number")

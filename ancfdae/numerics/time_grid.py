@@ -71,8 +71,9 @@ class TimeGrid:
         """Return Gauss-Lobatto points in equal panels from 0 to `t_end`."""
         share = 0.5 * (_lobatto_points() + 1.0)
         left = np.arange(panels)[:, None]
-        t = np.append(((left + share[None, :-1]) / panels).ravel(), 1.0) * t_end
-        return TimeGrid(t, LOBATTO_DEGREE)
+        t = np.ones(panels * LOBATTO_DEGREE + 1)
+        t[:-1] = ((left + share[None, :-1]) / panels).ravel()
+        return TimeGrid(t * t_end, LOBATTO_DEGREE)
 
     def weights(self) -> Array:
         """Return quadrature weights of all time points, shape (n_t,); s."""

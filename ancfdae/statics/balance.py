@@ -18,7 +18,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations import MechanicalSystem, require_no_controllers
+from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.plans import Plan
 from ancfdae.equations.saddle_points import Prepared, saddle_point, solve, velocity_side
 from ancfdae.errors.kinds import InvalidInputError, SingularMatrix
@@ -26,6 +26,7 @@ from ancfdae.errors.outcomes import Verdict
 from ancfdae.kernels import RULES, Rest, finite, norm
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.statics.controlled import Steady
 
 # K is positive definite for certain if its factorisation succeeds with the diagonal reduced by this
 # fraction of itself.
@@ -179,7 +180,8 @@ class Balance:
 
     Unless it `follows`, P is zero: follower loads act in full, and the unbalanced forces at the
     start are removed as constants. Unless it `closes` them, constraints stay as violated as at the
-    start: Phi = Phi_0 for all s.
+    start: Phi = Phi_0 for all s. Where it `judges`, a search keeps to states without negative
+    stiffness; with controllers the loop decides, not the stiffness.
     """
 
     system: MechanicalSystem
@@ -189,6 +191,7 @@ class Balance:
     work: SearchCounts = field(default_factory=SearchCounts)
     follows: bool = True
     closes: bool = True
+    judges: bool = True
 
     @staticmethod
     def of(
@@ -196,12 +199,11 @@ class Balance:
     ) -> Balance:
         """Return the equations of a search from q_0, lam_0, after checking the start.
 
-        Raises InvalidInputError if start or forces are not finite, or controllers have states;
-        RedundantConstraintsError if constraints are linearly dependent.
+        Raises InvalidInputError if start or forces are not finite, RedundantConstraintsError if
+        constraints are linearly dependent.
         """
-        repair = "Leave them out, and hold the mechanism by a spring or a load in their place."
-        require_no_controllers("equilibrium", system, repair)
-        balance = Balance(system, t, q_0, lam_0, follows=follows)
+        judges = not isinstance(system, Steady)
+        balance = Balance(system, t, q_0, lam_0, follows=follows, judges=judges)
         with np.errstate(all="ignore"):
             good = all(finite(x) for x in (q_0, balance.r_0, balance.Phi_0))
         if not good:

@@ -24,7 +24,7 @@ from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_finite
 from ancfdae.errors.kinds import AncfdaeError, InvalidInputError
 from ancfdae.errors.outcomes import uninterrupted
-from ancfdae.errors.text import PrintedTable, TableText
+from ancfdae.errors.text import PrintedTable, TableText, listed
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
@@ -174,6 +174,12 @@ def find_critical(
     equilibrium at the first value, if two motions lose their stiffness at once, or if a design
     variable separates the paths of a bifurcation.
     """
+    if system.controllers:
+        rule = "must have no controllers with states, whose loop decides on stability"
+        repair = "Follow the exponents of modes(scene, at=equilibrium(scene)) over the parameter."
+        raise InvalidInputError(
+            "critical_load", rule, listed(map(repr, system.controllers)), repair
+        )
     if to == system.b[k]:
         rule, repair = "must differ from the value in the model", "Search to the other side."
         raise InvalidInputError("to", rule, f"{to:g}", repair)

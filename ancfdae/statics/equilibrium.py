@@ -43,6 +43,7 @@ from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_solvers import Factorization
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.statics.balance import Balance
+from ancfdae.statics.controlled import at_rest, with_states, without_states
 from ancfdae.statics.outcome import EquilibriumOutcome
 from ancfdae.statics.search import SearchEnd, search
 from ancfdae.statics.softness import softest
@@ -70,8 +71,17 @@ class Tangent:
         R, Phi = balance.unbalanced(q, lam), system.constraint(t, q)
         # The correction is not used if the state is not an equilibrium.
         beyond = solve(self._factors, R, -Phi)[0]
-        at_rest = balance.is_round_off(R, self._K, q, lam, beyond)
-        self._beyond = beyond if at_rest else zero
+        balanced = balance.is_round_off(R, self._K, q, lam, beyond)
+        self._beyond = beyond if balanced else zero
+
+    @staticmethod
+    def of(system: MechanicalSystem, at: Solution) -> Tangent:
+        """Return the tangent matrix at the first time of an equilibrium of a system.
+
+        With controllers it is the one of `Steady`, whose coordinates contain the states.
+        """
+        q = with_states(system, at.q[0], at.v[0])
+        return Tangent(at_rest(system), float(at.t[0]), q, at.lam[0])
 
     def sensitivities(self) -> Parts:
         """Return q_b and lam_b, shapes (n_q, n_b) and (n_lam, n_b)."""
@@ -253,25 +263,29 @@ def find_equilibrium(
     finite, constraints are linearly dependent, or a driver moves.
     """
     began = time.perf_counter()
-    q, lam = (system.start()[0], np.zeros(system.n_lam)) if start is None else start
-    balance = Balance.of(system, 0.0, q, lam, follows=not near)
+    of = at_rest(system)
+    q, lam = (of.start()[0], np.zeros(system.n_lam)) if start is None else start
+    balance = Balance.of(of, 0.0, q, lam, follows=not near)
     balance.refuse_motion()
     end, derivatives = search(balance, max_steps), None
     if end.outcome.stable_to is not None and balance.gyroscopic:
         end = replace(end, outcome=replace(end.outcome, gyroscopic=True))
     if sensitivities and end.outcome.success:
         balance.work.factorisations += 1
-        derivatives = Tangent(system, 0.0, end.q, end.lam).sensitivities()
+        derivatives = Tangent(of, 0.0, end.q, end.lam).sensitivities()
     if end.outcome.success and not near:
         _warn_of_mesh(system, end.q)
         _warn_of_passage(system, np.stack([q, end.q]))
-        if not (end.definite and system.traits.symmetric):
+        if balance.judges and not (end.definite and system.traits.symmetric):
             end = _judged(balance, end)
     work, seconds = balance.work, time.perf_counter() - began
     counted = (work.steps, work.iterations, work.factorisations, work.residuals)
     statistics = Statistics(*counted, 0, seconds, work.rejected)
-    solution = _solution(system, end, derivatives, statistics)
-    return Equilibrium(end.q, end.lam, end.outcome, solution, *(derivatives or (None, None)))
+    solution = _solution(of, end, derivatives, statistics)
+    q_b, lam_b = (None, None) if derivatives is None else derivatives
+    if solution.sensitivities is not None:
+        q_b = solution.sensitivities.q_b[0]
+    return Equilibrium(solution.q[0], end.lam, end.outcome, solution, q_b, lam_b)
 
 
 def _warn_of_mesh(system: MechanicalSystem, q: Array) -> None:
@@ -337,14 +351,22 @@ def _solution(
     derivatives: tuple[Array, Array] | None,
     statistics: Statistics,
 ) -> Solution:
-    q, lam, sensitivities = end.q[None], end.lam[None], None
+    (q, v), sensitivities = without_states(system, end.q), None
     if derivatives is not None:
-        q_b, lam_b = (x[None] for x in derivatives)
-        still = np.zeros_like(q_b)
-        sensitivities = Sensitivities(system.design_names, system.b, q_b, still, still, lam_b)
-    zero, outcome = np.zeros_like(q), end.outcome.of_run()
+        q_b, v_b = without_states(system, derivatives[0])
+        rates = q_b[None], v_b[None], np.zeros_like(q_b)[None], derivatives[1][None]
+        sensitivities = Sensitivities(system.design_names, system.b, *rates)
+    zero, outcome = np.zeros_like(q)[None], end.outcome.of_run()
     return Solution(
-        np.zeros(1), q, zero, zero, lam, statistics, outcome, system.naming, sensitivities
+        np.zeros(1),
+        q[None],
+        v[None],
+        zero,
+        end.lam[None],
+        statistics,
+        outcome,
+        system.naming,
+        sensitivities,
     )
 
 
@@ -366,33 +388,34 @@ class RestingStart:
         Raises NoEquilibriumError if there is none, FreeMotionError if nothing restrains a motion.
         Warns if it is unstable (StabilityWarning).
         """
-        at_rest = uninterrupted(find_equilibrium(self._system))
-        if not at_rest.outcome.success:
-            raise NoEquilibriumError(at_rest)
-        if at_rest.outcome.stable_to is not None or at_rest.outcome.flutter is not None:
+        found = uninterrupted(find_equilibrium(self._system))
+        if not found.outcome.success:
+            raise NoEquilibriumError(found)
+        if found.outcome.stable_to is not None or found.outcome.flutter is not None:
             warnings.warn(
-                f"start at rest: {at_rest.outcome} Round-off grows in a motion that starts there, "
+                f"start at rest: {found.outcome} Round-off grows in a motion that starts there, "
                 "and takes its derivatives with it. Start from another NodalState, near a stable "
                 "equilibrium, or declare what pushes it.",
                 StabilityWarning,
                 stacklevel=2,
             )
-        return at_rest
+        return found
 
     @cached_property
     def _tangent(self) -> Tangent:
-        return Tangent(self._system, 0.0, self.equilibrium.q, self.equilibrium.lam)
+        return Tangent.of(self._system, self.equilibrium.solution)
 
     @property
-    def q(self) -> Array:
-        """Coordinates at the equilibrium from which the motion starts, shape (n_q,)."""
-        return self.equilibrium.q
+    def state(self) -> tuple[Array, Array]:
+        """Q and v at the equilibrium, (n_q,) each; v has states of controllers alone."""
+        return self.equilibrium.q, self.equilibrium.solution.v[0]
 
     @cached_property
-    def q_b(self) -> Array:
-        """Design derivatives of the coordinates at equilibrium, shape (n_q, n_b)."""
-        return self._tangent.sensitivities()[0]
+    def state_b(self) -> tuple[Array, Array]:
+        """Design derivatives of `state`, shape (n_q, n_b) each."""
+        return without_states(self._system, self._tangent.sensitivities()[0])
 
-    def pull_back(self, on_q: Array) -> Array:
-        """Return q_b^T on_q for an adjoint vector of the start, (n_b,), by a transposed solve."""
+    def pull_back(self, on_q: Array, on_v: Array) -> Array:
+        """Return q_b^T on_q + v_b^T on_v for adjoint vectors of the start, (n_b,)."""
+        on_q = with_states(self._system, on_q, on_v)
         return self._tangent.pull_back(on_q, 0 * self.equilibrium.lam)

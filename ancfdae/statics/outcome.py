@@ -71,6 +71,9 @@ class EquilibriumOutcome:
     flutter : complex or None
         Exponent s of the vibration that grows fastest without damping because follower loads feed
         it; 1/s. None without such a vibration.
+    growth : complex or None
+        Exponent s of the motion of the mechanism with its controllers that grows fastest; 1/s. None
+        if none grows, or without controllers with states.
     flutter_searched : bool
         Whether all motions were searched for flutter: False with follower loads on more than 1,500
         independent motions, of which only the twenty nearest to zero were searched.
@@ -85,6 +88,7 @@ class EquilibriumOutcome:
     gyroscopic: bool = False
     folded: str = ""
     flutter: complex | None = None
+    growth: complex | None = None
     flutter_searched: bool = True
 
     @property
@@ -126,6 +130,12 @@ class EquilibriumOutcome:
                 "; unless damping holds it, it flutters: its loads turn with the motion, and a "
                 f"vibration of {self.flutter.imag:.4g} rad/s grows by {self.flutter.real:.3g} 1/s"
             )
+        if self.growth is not None:
+            text += (
+                f"; its controllers do not hold it: a motion grows by {self.growth.real:.3g} 1/s"
+            )
+            if self.growth.imag:
+                text += f" and vibrates with {self.growth.imag:.4g} rad/s"
         if not self.flutter_searched:
             text += (
                 "; of its many motions only the twenty next to zero were searched for flutter from "

@@ -120,8 +120,9 @@ class LoadPath:
                 return Unsolved(Verdict.NO_CONVERGENCE, 0.0)
         if balance.folds(before.q, place.q):
             return Unsolved(Verdict.FOLDED, 0.0)
-        soft = None if point.definite else softest(balance, s, place.q, place.lam)
-        definite = soft is None or soft.definite
+        unjudged = point.definite or not balance.judges
+        soft = None if unjudged else softest(balance, s, place.q, place.lam)
+        definite = point.definite or (soft is not None and soft.definite)
         stable = soft is None or soft.stable
         if stable != before.stable and s - before.s > _SMALL:
             return Unsolved(Verdict.NO_CONVERGENCE, 0.0)
@@ -201,7 +202,9 @@ class Settling:
                 continue
             moved, held = self._share(solved.q - self.q), self._held(mu, solved.q - self.q)
             if moved > _SETTLED and not (
-                solved.definite or softest(balance, 1.0, solved.q, solved.lam, mu).stable
+                solved.definite
+                or not balance.judges
+                or softest(balance, 1.0, solved.q, solved.lam, mu).stable
             ):
                 # K + mu M_0 is not positive definite: so long a step may increase the energy.
                 balance.work.rejected += 1
@@ -270,6 +273,8 @@ def search(balance: Balance, max_steps: int) -> SearchEnd:
     tried in between. Raises FreeMotionError if nothing restrains a motion.
     """
     first, start = balance.begun(), None
+    if not balance.judges:
+        return _unjudged(balance, first, max_steps)
     if isinstance(first, Unsolved) or not first.definite:
         start = softest(balance, 0.0, balance.q_0, balance.lam_0)
         if not (start.definite or (start.stable and not start.free.shape[1])):
@@ -290,6 +295,32 @@ def search(balance: Balance, max_steps: int) -> SearchEnd:
         return followed
     settled = _settled(balance, start, max_steps)
     return settled if settled.outcome.success else followed
+
+
+def _unjudged(balance: Balance, first: Balanced | Unsolved, max_steps: int) -> SearchEnd:
+    """Return the end of a path of loads, or else of a descent, without regard to stability.
+
+    Raises FreeMotionError if a motion has no stiffness at the end.
+    """
+    end = _followed(balance, first, True, max_steps)
+    if not (end.outcome.success or end.outcome.verdict is Verdict.INTERRUPTED):
+        downhill = Settling(balance, max_steps)
+        verdict = downhill.run()
+        outcome = EquilibriumOutcome(
+            verdict,
+            float(verdict is Verdict.EQUILIBRIUM),
+            downhill.steps,
+            downhill.residual,
+            downhill=True,
+        )
+        end = SearchEnd(downhill.q, downhill.lam, outcome)
+        end = _polished(balance, end) if outcome.success else end
+    # Where the search fails, a motion that is free at its start explains it.
+    at = (end.q, end.lam) if end.outcome.success else (balance.q_0, balance.lam_0)
+    free = softest(balance, 1.0, *at).free
+    if free.shape[1]:
+        raise free_mechanism(balance.system.naming, at[0].real, free)
+    return end
 
 
 def _closed(

@@ -53,6 +53,7 @@ from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.numerics.timing import progress_bar
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
+from ancfdae.statics.controlled import about_states
 from ancfdae.statics.equilibrium import Equilibrium, NoEquilibriumError, Tangent
 from ancfdae.studies.calls import as_system
 from ancfdae.studies.statics import equilibrium
@@ -80,6 +81,9 @@ def modes(
     all below the last one are returned, or NoModes is raised. Undamped modes of large systems are
     counted by Sylvester's law of inertia. Large damped systems (more than 120 independent motions
     and 3 `count` + 40) are searched for real exponents near their undamped frequencies only.
+
+    With controllers the exponents are the poles of the closed loop, about their states in `at`. A
+    shape x e^{st} holds the states' integrals, so that the states of a mode are s times their rows.
 
     Parameters
     ----------
@@ -111,6 +115,17 @@ def modes(
     if method is not None:
         require_kind("method", method, (DirectDifferentiation, Adjoint), "Direct() or Adjoint().")
     system = as_system(model, design).in_all_states()
+    if at is not None:
+        require_kind("at", at, (LinearisationPoint, Equilibrium), "Pass what equilibrium returned.")
+    if system.controllers:
+        if damped is False:
+            raise InvalidInputError(
+                "modes, damped",
+                "must be left out for scenes with controllers, whose states are velocities",
+                damped,
+                "Leave out the controllers for the modes of the mechanism alone.",
+            )
+        system = about_states(system, *_states_of(system, at))
     where = place(system, at)
     back = where.pull_back if system.n_b and isinstance(method, Adjoint) else None
     configuration = where.configuration(system.n_b > 0 and back is None)
@@ -144,10 +159,23 @@ def suggest_step(
     if follow is not None:
         require_count("follow", follow, "Follow one motion or more, or None for all.")
     system = as_system(model).in_all_states()
+    if system.controllers:
+        system = about_states(system, *_states_of(system, at))
     return suggestion(system, place(system, at).configuration(False), per_period, follow)
 
 
 At: TypeAlias = LinearisationPoint | Equilibrium | None
+
+
+def _states_of(system: MechanicalSystem, at: At) -> tuple[Array | None, Array | None]:
+    """Return velocities of a configuration with their design derivatives, for states in them."""
+    if at is None:
+        return system.start()[1], system.start_b()[1] if system.n_b else None
+    if isinstance(at, LinearisationPoint):
+        return at.v, at.v_b
+    if not (system.n_b and at.outcome.success):
+        return at.solution.v[0], None
+    return at.solution.v[0], Tangent.of(system, at.solution).sensitivities()[0]
 
 
 class DesignedConfiguration(abc.ABC):
@@ -210,7 +238,7 @@ class _Balanced(DesignedConfiguration):
                 str(self._at.outcome),
                 "Leave out the design variables.",
             )
-        return Tangent(self._system, self._t, self._at.q, self._at.lam)
+        return Tangent.of(self._system, self._at.solution)
 
     @property
     def _t(self) -> float:

@@ -4,8 +4,9 @@ A search for an equilibrium is a run with one time point (`Static`), so that eve
 differentiates it.
 """
 
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import final
 
@@ -20,17 +21,21 @@ from ancfdae.errors.checks import (
     require_kind,
     require_sequence,
 )
-from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
+from ancfdae.errors.kinds import InvalidInputError, StabilityWarning, UnknownNameError
 from ancfdae.errors.outcomes import uninterrupted
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator, Seeds
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
+from ancfdae.modes.analysis import growth
+from ancfdae.modes.linearised import LinearisationPoint
+from ancfdae.modes.precise import NoModes
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.continuous_adjoint import ContinuousAdjoint
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run
 from ancfdae.sensitivity.objectives import Objective, ObjectivePartials, Terminal
 from ancfdae.sensitivity.objectives.objective import NO_TOTALS, Totals
 from ancfdae.sensitivity.observables.observable import Observable, States
+from ancfdae.statics.controlled import about_states, with_states
 from ancfdae.statics.critical import CriticalLoad, find_critical
 from ancfdae.statics.equilibrium import MAX_STEPS, Equilibrium, Tangent, find_equilibrium
 from ancfdae.studies.calls import as_system, cheapest, differentiable, warn_of_strains
@@ -49,7 +54,8 @@ def equilibrium(
 
     The search follows the path of equilibria from the start of the model while the load increases;
     a mechanism with no stiffness but gravity is solved under the full load by pseudo-transient
-    continuation (docs/theory/11-statics.md).
+    continuation (docs/theory/11-statics.md). States of controllers are unknowns, too
+    (docs/theory/17-controllers.md), and stand in the velocities of the result's `solution`.
 
     Parameters
     ----------
@@ -82,13 +88,32 @@ def equilibrium(
     system = as_system(model, design).in_all_states()
     if start is not None:
         _require_start_of(system, start)
-    state = None if start is None else (start.q, start.lam)
+    state = None
+    if start is not None:
+        state = with_states(system, start.q, start.solution.v[0]), start.lam
     found = uninterrupted(
         find_equilibrium(system, start=state, max_steps=max_steps, sensitivities=bool(system.n_b))
     )
     if found.outcome.success:
         warn_of_strains("equilibrium", system, found.q[None])
+        if system.controllers:
+            found = _judged_with_controllers(system, found)
     return found
+
+
+def _judged_with_controllers(system: MechanicalSystem, found: Equilibrium) -> Equilibrium:
+    """Return an equilibrium whose outcome says if a motion with its controllers grows."""
+    about = about_states(system, found.solution.v[0])
+    try:
+        grows = growth(about, LinearisationPoint(found.q, found.lam))
+    except NoModes as error:
+        warnings.warn(
+            f"equilibrium: stability with controllers is undecided: {error}",
+            StabilityWarning,
+            stacklevel=3,
+        )
+        return found
+    return replace(found, outcome=replace(found.outcome, growth=grows))
 
 
 def critical_load(
@@ -317,7 +342,8 @@ class Static(AdjointIntegrator):
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds, progress: bool = False
     ) -> Array:
         """Return the gradient, shape (n_b,), by one transposed solve at the equilibrium."""
-        q, lam, t = solution.q[0], solution.lam[0], float(solution.t[0])
-        on_q = np.zeros_like(q) if seeds.q is None else seeds.q[0]
-        on_lam = np.zeros_like(lam) if seeds.lam is None else seeds.lam[0]
-        return Tangent(system, t, q, lam).pull_back(on_q, on_lam)
+        sizes = system.n_q, system.n_q, system.n_lam
+        given = zip((seeds.q, seeds.v, seeds.lam), sizes, strict=True)
+        on_q, on_v, on_lam = (np.zeros(n) if x is None else np.array(x[0]) for x, n in given)
+        on_q = with_states(system, on_q, on_v)
+        return Tangent.of(system, solution).pull_back(on_q, on_lam)

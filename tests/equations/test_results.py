@@ -20,6 +20,7 @@ from ancfdae import (
     InitialVelocity,
     Integral,
     PrescribedSteps,
+    Radau,
     RigidBody,
     Scene,
     Terminal,
@@ -135,6 +136,8 @@ def test_runs_of_nearly_the_same_model_are_refused(millionths):
 def test_other_runs_are_refused():
     system = CartesianPendulum(-1.0, 2.0)
     run = simulate(system, 0.5, FIXED)
+    stages = simulate(system, 0.5, Radau(rtol=1e-5))
+    controlled = simulate(system, 0.5, CONTROLLED)
     for call, match in (
         (lambda: simulate(CartesianPendulum(0.0, 2.0), 1.0, FIXED, after=run), "another start"),
         (lambda: simulate(CartesianPendulum(-1.0, 1.9), 1.0, FIXED, after=run), "another start"),
@@ -142,6 +145,8 @@ def test_other_runs_are_refused():
         (lambda: simulate(system, 1.0, HHT(2.0**-5), after=run), "under the same steps"),
         (lambda: simulate(system, 1.0, UNEVEN, after=run), "under the same steps"),
         (lambda: simulate(system, 1.0, CONTROLLED, after=run), "under the same steps"),
+        (lambda: simulate(system, 1.0, CONTROLLED, after=stages), "of the same integrator"),
+        (lambda: simulate(system, 1.0, Radau(rtol=1e-5), after=controlled), "of the same integ"),
         (lambda: simulate(system, 0.25, FIXED, after=run), "must end at 0.25 or before; got 0.5"),
         (lambda: simulate(system, 1.0, DOP853(), after=run), "after: needs an integrator"),
         (

@@ -354,19 +354,19 @@ def test_a_controller_that_tears_at_its_section_is_told_the_steps_to_come():
 
 def test_steps_that_noise_disturbs_are_counted_over_many_hundreds():
     """Hundreds of steps of 1 ms and 0.3 ms in turn: the mean, 0.65 ms, predicts the rest."""
-    pace, t = Pace(100.0, 100_000, "remedy."), 0.0
+    pace, t = Pace(100.0, 100_000, "remedy.", 10**6), 0.0
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         for k in range(2200):
             t += 1e-3 if k // 100 % 2 else 3e-4
-            assert not pace.stalls(t)
+            assert not pace.ends_run(t)
             assert (len(told) > 0) == (k >= 1999)
     assert f"about {(100.0 - 1.3) / 6.5e-4:.2g} steps are to come" in str(told[0].message)
-    quiet = Pace(60.0, 100_000, "remedy.")
+    quiet = Pace(60.0, 100_000, "remedy.", 10**6)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for k in range(2200):
-            assert not quiet.stalls(6.5e-4 * (k + 1))
+            assert not quiet.ends_run(6.5e-4 * (k + 1))
 
 
 @pytest.mark.filterwarnings("ignore::ancfdae.errors.ManyStepsWarning")

@@ -47,13 +47,10 @@ from ancfdae import (
     assemble,
     check_system,
     critical_load,
-    equilibrium,
     gradient,
     gradients,
     load_solution,
-    modes,
     simulate,
-    suggest_step,
 )
 from ancfdae.errors import InvalidInputError, UnknownNameError, UnlikelyValueWarning
 from ancfdae.extend import (
@@ -679,15 +676,10 @@ def test_a_saved_run_knows_its_states(tmp_path):
 # ---------------------------------------------------------------- what is refused, in words
 
 
-def test_calls_without_states_say_so():
+def test_what_states_cannot_do_is_refused_in_words():
     scene, arm = arm_scene(), arm_scene().bodies[0]
-    for call in (modes, suggest_step, equilibrium):
-        with pytest.raises(InvalidInputError, match=r"no controllers with states.*'pid'"):
-            call(scene)
     with pytest.raises(InvalidInputError, match="no controllers with states"):
         critical_load(scene, "pid.proportional", 30.0)
-    with pytest.raises(InvalidInputError, match=r"EquilibriumStart.loads.*'?pid"):
-        replace(scene, start=[EquilibriumStart()])
     with pytest.raises(InvalidInputError, match=r"Scene.frame.*pid"):
         replace(scene, gravity=None, frame=RotatingFrame(2.0))
     with pytest.raises(InvalidInputError, match="effort of 'pid': must lie in 0 to 0"):

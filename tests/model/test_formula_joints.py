@@ -610,3 +610,23 @@ def test_a_formula_is_met_anew_where_no_other_equation_has_products():
     ]
     assert abs(ends[0] - (1.4, 0.2)).max() > 1e-2
     assert ends[1] == pytest.approx(ends[0], abs=1e-9)
+
+
+def test_joints_share_lists_only_where_their_operations_are_the_same():
+    balls = [RigidBody(f"ball {k}", (1.0 * k, 0.0), mass=1.0, inertia=1.0) for k in range(4)]
+    points = [ball.at(0.0, 0.0) for ball in balls]
+    joints = [
+        Distance(points[1], 0.5, points[0], name="first"),
+        Distance(points[2], 0.9, points[1], name="second"),
+        Distance(points[3], 2.0, ground=(5.0, 0.0), name="third"),
+    ]
+    system = assemble(Scene([], joints, bodies=balls))
+    # (|r|^2/L - L)/2 at |r| = 1, 1 and 2: the values are those of each joint.
+    expected = [(1 / 0.5 - 0.5) / 2, (1 / 0.9 - 0.9) / 2, (4 / 2.0 - 2.0) / 2]
+    Phi = system.constraint(0.0, system._reference.q)
+    names = np.array(system.constraint_names)
+    for name, value in zip(("first", "second", "third"), expected, strict=True):
+        assert Phi[names == name] == pytest.approx([value], abs=1e-15)
+    first, second, third = (x.lists for x in system._constraints.structure.slots if x.lists)
+    assert first is second
+    assert third is not first

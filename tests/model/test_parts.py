@@ -155,10 +155,10 @@ def test_partials_of_a_joint_are_complex_steps_of_its_force(name):
 
 
 @every_joint
-def test_only_bilinear_joints_have_curvature_and_only_driven_ones_move(name):
+def test_only_products_and_formulas_have_curvature_and_only_driven_ones_move(name):
     s = joint_setting(name)
     driven = isinstance(s.joint, DrivenJoint)
-    assert s.system.traits.linear_constraints == (not s.bilinear)
+    assert s.system.traits.linear_constraints == (not s.curved)
     assert driven == any(isinstance(value, Law) for value in vars(s.joint).values())
     assert np.any(velocity_side(s.system, s.t, s.q)) == driven
     assert np.any(acceleration_side(s.system, s.t, s.q, s.v)) == (not s.steady)

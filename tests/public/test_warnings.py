@@ -39,10 +39,10 @@ def test_high_order_on_a_stiff_scene_says_how_many_steps_are_to_come(kind):
 @pytest.mark.parametrize(("steps", "warned"), [(90_000, False), (110_000, True)])
 def test_the_estimate_is_that_of_steps_as_the_last_ones(steps, warned, recwarn):
     """After first steps that grow, all have the size 1/steps."""
-    watch, t = pace(1.0), 0.0
+    watch, t = pace(1.0, 10**6), 0.0
     for k in range(300):
         t += min(1.0, 2.0 ** (k - 40)) / steps
-        assert not watch.stalls(t)
+        assert not watch.ends_run(t)
     assert [w.category for w in recwarn] == [ManyStepsWarning] * warned
     if warned:
         # All steps of the size, less what the first forty lack: 1.1e5 in two digits.
@@ -51,10 +51,10 @@ def test_the_estimate_is_that_of_steps_as_the_last_ones(steps, warned, recwarn):
 
 def test_steps_that_shrink_before_a_jump_tell_nothing(recwarn):
     """At the hundredth step of a run that stalls behind its fortieth."""
-    watch = pace(1.0)
+    watch = pace(1.0, 10**6)
     behind = (0.3 + 1e-3 * (1 - 0.7 ** (k - 39)) for k in range(40, 300))
     times = [0.3 * (k + 1) / 40 for k in range(40)] + list(behind)
-    taken = next(k for k, t in enumerate(times, 1) if watch.stalls(t))
+    taken = next(k for k, t in enumerate(times, 1) if watch.ends_run(t))
     assert taken == 200
     assert not recwarn
 

@@ -33,7 +33,7 @@ from ancfdae import (
 from ancfdae.errors import InvalidInputError, UnknownNameError
 from ancfdae.laws import Harmonic
 from ancfdae.sections import Rectangle
-from ancfdae.sensitivity.observables.expression import _FUNCTIONS
+from ancfdae.sensitivity.observables.expression import _FUNCTIONS, require_vectorised
 from ancfdae.sensitivity.observables.mass import (
     MassIntegral,
     angular_momentum,
@@ -863,3 +863,17 @@ def test_angular_velocity_of_a_driven_rod_is_the_rate_of_its_law():
         observe(angular_velocity(rod.at_end, 0), solution)
     with pytest.raises(InvalidInputError, match="assembled scene"):
         observe(acceleration(rod.at_end, 0), solution)
+
+
+@pytest.mark.parametrize(("alone", "last"), [(1.0, np.inf), (1.0, np.nan), (-np.inf, np.inf)])
+def test_a_value_that_depends_on_other_instants_is_refused_where_it_is_not_finite(alone, last):
+    """A function of several times that has another value for one of them alone is refused."""
+    values = np.array([1.0, 2.0, last])
+
+    def rows(which):
+        return values[which] if which == slice(None) else np.array([alone])
+
+    with pytest.raises(InvalidInputError, match="instant by instant"):
+        require_vectorised("f", rows, 3)
+    values[-1] = alone
+    assert np.array_equal(require_vectorised("f", rows, 3), values)

@@ -23,6 +23,7 @@ from ancfdae import (
     Rope,
     RotationDriver,
     Scene,
+    SlidingJoint,
     Spherical,
     SpringDamper,
     TranslationDriver,
@@ -132,12 +133,12 @@ def catalogue(module, base, planar, spatial):
     return found
 
 
-#: Joints by formulas and ropes, some examples of which are slack, have tests of their own:
-#: tests/model/test_formula_joints.py, test_sliding.py and test_rope.py.
+#: Sliding joints and ropes, some examples of which are slack, have tests of their own:
+#: tests/model/test_sliding.py and test_rope.py.
 JOINTS = {
     name: joint
     for name, joint in catalogue(joints, Joint, planar_joints, spatial_joints).items()
-    if not isinstance(joint, FormulaJoint)
+    if not isinstance(joint, SlidingJoint)
 }
 LOADS = {
     name: load
@@ -172,8 +173,9 @@ class JointSetting(Alone):
         rng = np.random.default_rng(4)
         self.jerk = rng.uniform(-1, 1, self.system.n_q)
         self.lam_along = rng.uniform(-1, 1, self.system.n_lam)
-        self.bilinear = bool(np.any(self.coefficients(0.0, 0).bilinear))
-        self.steady = not (self.bilinear or isinstance(self.joint, DrivenJoint))
+        products = bool(np.any(self.coefficients(0.0, 0).bilinear))
+        self.curved = products or isinstance(self.joint, FormulaJoint)
+        self.steady = not (self.curved or isinstance(self.joint, DrivenJoint))
 
     def coefficients(self, t, order):
         """What the joint states, at its own parameters."""

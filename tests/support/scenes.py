@@ -149,7 +149,7 @@ def planar_machine():
         PointOnLine(rod.at(0.8, y=0.02), direction=(0.9, 0.2), name="slot"),
         Distance(rod.at(0.9, y=-0.02), 1.1, bow.at(0.7, y=0.01), name="link"),
         TranslationDriver(bow.at(0.1), (1.0, 0.5), law, name="shaker"),
-        Distance(bow.at_end, 0.8, ground=(1.9, 0.6), name="stay"),
+        Distance(bow.at_end, 0.7, ground=(1.9, 0.6), name="stay"),
     ]
     loads = [
         PointForce(rod.at(0.4, y=0.01), (3.0, -5.0), name="weight"),

@@ -356,8 +356,8 @@ class ErrorController(Controller):
         """
 
     @abc.abstractmethod
-    def passed(self, ends: Array, anew: bool) -> int:
-        """Note accepted steps with these end times; return how many of them count.
+    def passed(self, ends: Array, anew: bool) -> tuple[int, Failure | None]:
+        """Note accepted steps with these end times; return how many count, and why not all do.
 
         With `anew` the run starts anew after them.
         """
@@ -525,7 +525,7 @@ def _controlled(
     lost = _lost(method.system, contacts, before, Rows(batch.t, q, v))
     degree = len(batch.t) // max(len(ends), 1)
     good = len(ends) if lost is None else lost.first // degree
-    kept = controller.passed(ends[:good], again == 0)
+    kept, too_slow = controller.passed(ends[:good], again == 0)
     instants = np.append(begin.t, ends)
     sizes = np.append(begin.last, np.diff(instants))
     if kept < len(ends):
@@ -533,9 +533,9 @@ def _controlled(
     recorder.take(batch.t[: degree * kept], controller.state())
     for k in range(max(kept - BACK, 1), kept + 1):
         path.append(Reached(begin.n + k, float(instants[k]), float(sizes[k]), batch.states(k)))
-    if kept < good:
+    if too_slow is not None:
         recorder.rejected += 1
-        return Failure(Verdict.ERROR_TEST, 0.0)
+        return too_slow
     if lost is not None:
         recorder.rejected += 1
         n, t, *_ = path[-1]

@@ -37,6 +37,7 @@ from ancfdae.integrators.integrator import require_rtol
 from ancfdae.integrators.step_control.contracts import (
     Controller,
     ErrorController,
+    Failure,
     KnownController,
     OneStepMethod,
     StepControl,
@@ -347,7 +348,7 @@ class _Filter(ErrorController):
         # attempt to repeat, and no accepted steps.
         begun = first, first, 1.0, 1.0, 0.0, first
         self.numbers[_CHANGING] = state or (*begun, *[0.0] * (_NUMBERS - len(begun)))
-        self._pace = Pace(t_end, method.many, method.remedy)
+        self._pace = Pace(t_end, method.many, method.remedy, max_steps)
 
     def state(self) -> tuple[float, ...]:
         """Return the numbers of the filter that change in a run, to continue it."""
@@ -367,16 +368,16 @@ class _Filter(ErrorController):
             return Verdict.NO_CONVERGENCE if judged == NEVER_SOLVED else Verdict.ERROR_TEST
         if judged == 0:
             self._pace.restart(0.0)
-        return Verdict.ERROR_TEST if judged > n and self._pace.stalls(t + h) else judged
+        return judged
 
-    def passed(self, ends: Array, anew: bool) -> int:
+    def passed(self, ends: Array, anew: bool) -> tuple[int, Failure | None]:
         """Return how many accepted steps, which end at the times `ends`, pass the check of pace."""
         for k, end in enumerate(ends.tolist()):
-            if self._pace.stalls(end):
-                return k
+            if verdict := self._pace.ends_run(end):
+                return k, Failure(verdict, 0.0, self._pace.advice)
         if anew:
             self._pace.restart(0.0)
-        return len(ends)
+        return len(ends), None
 
 
 def _root(x: float, order: int) -> float:
@@ -398,6 +399,9 @@ _SLOWER, _FASTER = 0.5, 1.5
 _LEAST_SHARE = 0.3
 # Number of hundreds of steps that must predict too many steps before a warning.
 _HUNDREDS = 20
+# A run creeps if it would need more than _CREEP times `max_steps` at the mean pace of so many
+# hundreds of steps.
+_CREEPING, _CREEP = 50, 100
 
 
 @final
@@ -407,27 +411,32 @@ class Pace:
     It warns once, with the `remedy`, if twenty hundreds of steps predict more than `many` steps; if
     the solver is `sure` of its first steps, the first hundred suffices. Short steps around a kick,
     at a start from rest, or where round-off disturbs some, do not predict the number of later
-    steps.
+    steps. A run ends if the last 5,000 steps predict more than 100 times `max_steps`; `advice`
+    then tells in words how far these steps came and what to do.
     """
 
-    def __init__(self, t_end: float, many: int, remedy: str, *, sure: bool = False) -> None:
-        self._t_end, self._many, self._remedy = t_end, many, remedy
+    advice = ""
+
+    def __init__(
+        self, t_end: float, many: int, remedy: str, max_steps: int, *, sure: bool = False
+    ) -> None:
+        self._t_end, self._many, self._remedy, self._max_steps = t_end, many, remedy, max_steps
         self._least, self._told, self._sure = _SHARE * t_end, False, sure
         self.restart(0.0)
 
     def restart(self, t: float) -> None:
         """Start counting steps anew at time t, s."""
         # Times before and after the last hundreds of steps.
-        self._ends = deque([t], maxlen=_HUNDREDS + 1)
+        self._ends = deque([t], maxlen=_CREEPING + 1)
         self._half = self._quarter = t
         self._taken = 0
 
-    def stalls(self, t: float) -> bool:
-        """Count a step to time t, s; return whether the last hundred steps made no progress.
+    def ends_run(self, t: float) -> Verdict | None:
+        """Count a step to time t, s; return why the run ends there, or None if it goes on.
 
-        A run without progress diverges, meets a jump too large to integrate, or integrates noise.
-        The number of steps of the run is predicted from the last steps, unless these still grow, or
-        the run makes no progress.
+        It ends if the last hundred steps made no progress: it diverges, meets a jump too large to
+        integrate, or integrates noise. It ends, too, if it creeps. The number of steps of the run
+        is predicted from the last steps, unless these still grow.
         """
         self._taken += 1
         if 2 * self._taken == _STEPS:
@@ -435,23 +444,39 @@ class Pace:
         if 4 * self._taken == 3 * _STEPS:
             self._quarter = t
         if self._taken < _STEPS:
-            return False
+            return None
         stalled = t - self._ends[-1] < self._least
         self._taken = 0
         self._ends.append(t)
-        if not self._told and not stalled:
+        if stalled:
+            return Verdict.ERROR_TEST
+        if not self._told:
             self._warn_of_many(t)
         self._sure = False
-        return stalled
+        return Verdict.STEPS_TOO_SHORT if self._creeps(t) else None
+
+    def _creeps(self, t: float) -> bool:
+        """Return whether the last 5,000 steps, up to time t, s, predict far too many steps."""
+        count, way = _CREEPING * _STEPS, t - self._ends[0]
+        left = count * (self._t_end - t)
+        if len(self._ends) <= _CREEPING or left <= _CREEP * self._max_steps * way:
+            return False
+        self.advice = (
+            f"The last {count} steps, up to t = {t:.6g}, advance by {way:.2g} s, and "
+            f"{left / way:.2g} like them are to come: {self._remedy} If the motion becomes slower "
+            "later, give a larger max_steps."
+        )
+        return True
 
     def _warn_of_many(self, t: float) -> None:
         """Warn if steady steps up to time t, s, predict too many steps."""
         marks, steps, even = [self._half, self._quarter, t], _STEPS // 4, True
         if not self._sure:
-            if len(self._ends) <= _HUNDREDS:
+            ends = list(self._ends)[-_HUNDREDS - 1 :]
+            if len(ends) <= _HUNDREDS:
                 return
-            marks, steps = [self._ends[k] for k in (0, _HUNDREDS // 2, -1)], _HUNDREDS * _STEPS // 2
-            even = np.diff(self._ends).min() > _LEAST_SHARE * (t - marks[0]) / _HUNDREDS
+            marks, steps = [ends[k] for k in (0, _HUNDREDS // 2, -1)], _HUNDREDS * _STEPS // 2
+            even = np.diff(ends).min() > _LEAST_SHARE * (t - marks[0]) / _HUNDREDS
         before, last = marks[1] - marks[0], marks[2] - marks[1]
         h = (before + last) / (2 * steps)
         steady = even and _SLOWER * before <= last <= _FASTER * before

@@ -91,7 +91,7 @@ class BackwardRun:
         self._bindings, self._problem, self._form = bindings, problem, form
         self._rtol, self._max_steps = settings.rtol, settings.max_steps
         self._solution, self._t_end = solution, float(solution.t[-1])
-        self._pace, self._calls = pace(self._t_end), 0
+        self._pace, self._calls = pace(self._t_end, settings.max_steps), 0
         self._seeds = AdjointSeeds(problem, solution, seeds)
         s, size = problem.scales, self._seeds.size or 1.0
         self._scale, self._b_scale = np.concatenate([s.q, s.v]) / size, s.b / size
@@ -227,9 +227,9 @@ class BackwardRun:
         array = self._bindings.array
         # IDAS calls this once or twice a step; its own limit counts from checkpoint to checkpoint.
         self._calls += 1
-        stalls, limit = self._pace.stalls(self._t_end - t), 2 * self._max_steps
-        if stalls or self._calls > limit:
-            raise PassFailed(Verdict.ERROR_TEST if stalls else Verdict.STEP_LIMIT)
+        verdict, limit = self._pace.ends_run(self._t_end - t), 2 * self._max_steps
+        if verdict or self._calls > limit:
+            raise PassFailed(verdict or Verdict.STEP_LIMIT)
         _, on_b = self._rates(t, *self._form.coordinates(array(y)), array(z) / self._scale)
         array(out)[:] = -on_b * self._b_scale  # Backward in time the integral counts negative.
 

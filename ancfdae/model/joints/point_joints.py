@@ -2,9 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
-
-import numpy as np
+from typing import Any, final
 
 from ancfdae.errors.checks import require_direction, require_positive, require_vector
 from ancfdae.model.bodies import MaterialPoint
@@ -20,6 +18,7 @@ from ancfdae.model.joints.frames import (
 )
 from ancfdae.model.joints.joint import (
     SECTION,
+    FormulaJoint,
     Joint,
     JointEquations,
     Travelling,
@@ -207,7 +206,7 @@ Spherical = Pin
 
 @final
 @dataclass(frozen=True)
-class Distance(Joint):
+class Distance(FormulaJoint):
     """Keep two points, or a point and the ground, at a distance.
 
     (|r(point) - r(other)|^2 / L - L) / 2 = 0; its multiplier is the force in the link, positive in
@@ -234,16 +233,14 @@ class Distance(Joint):
     design_fields = (("length", require_positive), ("ground", require_vector))
     needs_other_end = True
 
-    def coefficients(self, p: Array, reference: Array) -> JointEquations:
-        """Return the coefficients of (|U_0 - U_1|^2 / L - L) / 2 = 0."""
-        n, c = len(reference), empty_equations(1, p, reference)
+    def equations(self, U: Array, p: Array, reference: Array, laws: Array) -> list[Any]:
+        """Return (|U_0 - U_1|^2 / L - L) / 2, by differences of places that may be far away.
+
+        Products of the places themselves, which coefficients would take, lose |U|^2 eps.
+        """
         L, ground = self.split(p)
-        c.bilinear[0] = np.array([[1, -1], [-1, 1]])[:n, :n] / L
-        c.offset[0] = L / 2
-        if ground is not None:
-            c.linear[0, 0] = -ground / L
-            c.offset[0] -= np.sum(ground * ground) / (2 * L)
-        return c
+        r = U[0] - (U[1] if ground is None else ground)
+        return [(r @ r / L - L) / 2]
 
 
 @final

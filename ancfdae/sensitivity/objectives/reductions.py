@@ -18,6 +18,7 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.checks import require_finite, require_kind, require_positive
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.integrator import Density, Integrand, PartialIntegral, Points
+from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import STEP, Array, Numbers
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.sensitivity.objectives.objective import (
@@ -367,8 +368,10 @@ class Total(Integrand):
             partials = observable.weighted_partials(self._system, states, values, weight)
             x_b = partials.total(points.q_b, points.v_b, points.lam_b)
             slopes, rows = w @ x_b, np.concatenate([rows, x_b * self._b], axis=1)
-        bad = np.flatnonzero(~np.isfinite(rows).all(axis=1) | ~np.isfinite(x))
-        not_finite = float(points.t[bad[0]]) if len(bad) else None
+        not_finite = None
+        if not (finite(rows) and finite(x)):
+            bad = ~np.isfinite(rows).all(axis=1) | ~np.isfinite(x)
+            not_finite = float(points.t[np.argmax(bad)])
         size = points.weights_size @ np.abs(rows)
         error = self._error(points.errors(rows), size, duration)
         return PartialIntegral(duration, value, slopes, size, error, not_finite)

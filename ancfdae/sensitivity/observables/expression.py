@@ -127,10 +127,11 @@ def analytic(ufunc: np.ufunc, method: str = "__call__", plain: bool = True) -> F
     return _FUNCTIONS[ufunc]
 
 
-def require_vectorised(where: str, rows: Callable[[slice], Array], count: int) -> None:
-    """Raise InvalidInputError unless a function works on arrays, each time point by itself.
+def require_vectorised(where: str, rows: Callable[[slice], Array], count: int) -> Array:
+    """Return the values of a function at `count` time points, (count,).
 
-    `rows` returns its values at a slice of the `count` time points.
+    `rows` returns them at a slice of the time points. Raises InvalidInputError unless the function
+    works on arrays, each time point by itself.
     """
     repair = "Return one number per instant, from that instant alone."
     try:
@@ -141,9 +142,15 @@ def require_vectorised(where: str, rows: Callable[[slice], Array], count: int) -
     if y.shape != (count,) or y.dtype.kind not in "iufc":
         got = f"shape {y.shape} and type {y.dtype}"
         raise InvalidInputError(where, f"must return numbers of shape ({count},)", got, repair)
-    if last.shape != (1,) or not np.allclose(last[0], y[-1], rtol=1e-9, atol=0, equal_nan=True):
+    if last.shape != (1,) or not _same(last[0], y[-1]):
         got = "a value that depends on the other instants"
         raise InvalidInputError(where, "must work instant by instant", got, repair)
+    return y
+
+
+def _same(x: Any, y: Any) -> bool:
+    """Return whether two numbers of NumPy agree to 1e-9, are one infinity, or are both NaN."""
+    return bool(x == y or abs(x - y) <= 1e-9 * abs(y) < np.inf or (x != x and y != y))
 
 
 # -- expressions -------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import accumulate, pairwise
 from typing import ClassVar, final
 
 import numpy as np
@@ -98,9 +99,11 @@ class Custom(Leaf):
             lam=1.0 + spread * np.cos(2.0 + np.arange(system.n_lam)),
         )
         with np.errstate(all="ignore"):
-            require_vectorised(self.name, lambda rows: self._call(states.rows(rows), system.b), 3)
+            y = require_vectorised(
+                self.name, lambda rows: self._call(states.rows(rows), system.b), 3
+            )
         traced, b = self._traced(system), system.b.real
-        if traced is None or not _agree(traced.values(states, b)[:, 0], self._call(states, b)):
+        if traced is None or not _agree(traced.values(states, b)[:, 0], y.real):
             self._require_derivative(states, b)
 
     def leaf_value(self, system: Named, states: States) -> Array:
@@ -191,9 +194,9 @@ class _Formula:
 @lru_cache(maxsize=32)
 def _traced(function: Callable[..., Array], n_q: int, n_lam: int, n_b: int) -> _Formula | None:
     """Return the function as a list of operations; None if it cannot run on symbols."""
-    ends = np.cumsum([1, n_q, n_q, n_lam, n_b])
-    parts = np.split(np.arange(ends[-1]), ends[:-1])
-    operations = Operations(int(ends[-1]))
+    ends = list(accumulate((1, n_q, n_q, n_lam, n_b), initial=0))
+    parts = [np.arange(*end) for end in pairwise(ends)]
+    operations = Operations(ends[-1])
     t, q, v, lam, b = (Traced.array(operations, x) for x in parts)
     try:
         value = np.asarray(function(t, q[None], v[None], lam[None], b))

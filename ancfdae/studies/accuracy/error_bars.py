@@ -389,7 +389,7 @@ def estimate_adjoint_error(
     solution = finished(Run(system, t_end, integrator, progress).solution())
     steps = len(solution.t) - 1
     if steps < _LEAST_STEPS:
-        periods = advice(system, 0.0, solution.q[0], solution.lam[0])
+        periods = advice(system, 0.0, solution.q[0], solution.v[0], solution.lam[0])
         repair = f"Use a step of {t_end / 8:.3g} or less. {periods}".rstrip()
         raise InvalidInputError("estimate_adjoint_error", "needs four steps", steps, repair)
     states = states_of(solution)
