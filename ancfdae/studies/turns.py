@@ -38,9 +38,9 @@ def turned_apart(system: AncfSystem, run: Solution) -> tuple[str, float] | None:
         if body.count > body.stride:
             continue  # A beam that bends.
         columns = slice(d * (body.first_vector + 1), d * (body.first_vector + body.count))
-        D, V, A = (x.real[ends, columns].reshape(-1, d, d) for x in (run.q, run.v, run.a))
-        if np.abs(V).max() * h.max() < _SLOW:
+        if np.abs(run.v[:, columns]).max() * h.max() < _SLOW:
             continue
+        D, V, A = (x.real[ends, columns].reshape(-1, d, d) for x in (run.q, run.v, run.a))
         spin, rise = (_axial(D, x) for x in (V, A))
         turns = h * (spin[:-1] + spin[1:]) / 2 + h**2 * (rise[:-1] - rise[1:]) / 12
         sizes = np.linalg.norm(turns, axis=1)
