@@ -47,6 +47,10 @@ _PLACES = np.linspace(0.0, 1.0, 5)
 _VELOCITIES = 0.1
 # States that are checked in one batch: one by one the checks would cost a quarter of a small step.
 _TOGETHER = 64
+_TURNS = (
+    " A law that turns back just before this position does not lock: round-off hides the way "
+    "there, and shorter steps may pass."
+)
 _LIGHTER = (
     "At the end of the next step, t = {:.6g}, it is negative in a direction that the constraints "
     "permit. The motion ends before that, because accelerations are infinite where it is singular. "
@@ -356,7 +360,8 @@ def _not_led_to(
         if reached < end:
             # A motion with free directions may pass singular positions, where branches meet.
             passed = f"{locks(reached)} The step to t = {end:.6g} passed over it."
-            return passed if prescribed else ""
+            back = float(system.weights @ (step.v[0] * step.v[1])) < 0
+            return passed + back * _TURNS if prescribed else ""
         w, least = system.weights[columns], 10 * small(system, q)
         if norm((place - found)[columns], w) > max(APART * norm((found - q)[columns], w), least):
             return several

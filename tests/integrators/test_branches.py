@@ -7,6 +7,7 @@ whatever d.
 """
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -374,6 +375,26 @@ def test_a_parallelogram_stays_one_far_from_the_origin(start, place):
         s = start + SPEED * run.t
         exact = np.add(place, np.stack([D + A * np.cos(s), A * np.sin(s)], axis=1))
         assert np.max(np.abs(run.position(rocker.at_end) - exact)) < 1e-7
+
+
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.StabilityWarning")
+@pytest.mark.parametrize("back", [True, False])
+def test_words_of_a_lock_tell_of_a_law_that_turns_back(back):
+    """The parallelogram turns back 1e-7 rad before it is stretched: nothing locks.
+
+    A slider that is pushed through its dead point locks.
+    """
+    if back:
+        _, scene = parallelogram(np.pi - 1e-7 - 0.5)
+        law = Harmonic(0.5, 3.0)
+        joints = [replace(x, angle=law) if x.name == "motor" else x for x in scene.joints]
+        scene = replace(scene, joints=joints)
+    else:
+        _, scene = pushed(R + L - 1e-2, ConstantAcceleration(0.1))
+    run = HHT(0.01).integrate(assemble(scene), 0.6)
+    assert not run.outcome.success
+    assert "The joints lock at t = " in run.outcome.advice
+    assert ("A law that turns back" in run.outcome.advice) == back
 
 
 @pytest.mark.parametrize("place", [0.0, 1e4, 1e8])
