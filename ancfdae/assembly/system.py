@@ -52,8 +52,8 @@ _STATES = 2000
 # Singular value below which rows of Phi_q of unit length depend on each other, and w^T Phi_b over
 # the length of Phi_b that is not round-off.
 _DEPENDENT, _OPENED = 1e-8, 1e-7
-# Equations that are left out are open if a gap exceeds this part of the size of the mechanism, and
-# so many times the gaps of those that are kept, which integrators may leave open.
+# Equations that are left out are open if a gap exceeds _OPEN times the size of the mechanism, and
+# _WIDER times the gaps of the other equations, which integrators may leave open.
 _OPEN, _WIDER = 1e-6, 100.0
 
 
@@ -292,7 +292,7 @@ class AncfSystem(PlannedSystem):
         return None
 
     def gaps(self, t: float, q: Array) -> Array:
-        """Return the distances to where each equation of the joints holds, in the weights' norm."""
+        """Return the distance to where each equation of the joints holds, shape (n_lam,)."""
         pattern = self.constraint_pattern
         squares = self.constraint_q(t, q).real ** 2 / self.weights[pattern.columns]
         lengths = np.sqrt(np.bincount(pattern.rows, squares, self.n_lam))

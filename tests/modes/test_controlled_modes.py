@@ -1,8 +1,8 @@
 """Modes and equilibria of mechanisms with controllers, against characteristic equations.
 
-Poles of rigid bodies are roots of polynomials, those of a flexible arm roots of the determinant of
-Euler and Bernoulli's beam with the controller as its boundary condition. Neither has coordinates of
-the package.
+Poles of rigid bodies are roots of polynomials. Poles of a flexible arm are roots of the determinant
+of Euler and Bernoulli's beam with the controller as its boundary condition. Neither has coordinates
+of the package.
 """
 
 from dataclasses import dataclass, replace

@@ -425,7 +425,7 @@ def test_given_derivatives_of_a_configuration_count():
 
 @pytest.mark.parametrize("height", [1e-2, 1e-4])
 def test_motions_that_creep_have_the_derivative_of_the_retardation_time(height):
-    """s = -1/tau for all of them, soft or stiff: their shapes differ, and none is a double root."""
+    """s = -1/tau of every motion, soft or stiff: shapes differ, and none is a double root."""
     tau = 0.058 / height * 1e-2
     section, law = Rectangle(height, 2 * height), Material(7800.0, 2e11, 0.3, damping_time=tau)
     strip = Beam("strip", (0, 0), (1, 0), 6, section, law)
