@@ -340,7 +340,7 @@ class MechanicalSystem(ComplexSteps):
         """
         return ""
 
-    def coarse(self, q: Array) -> dict[str, float]:
+    def coarse(self, states: Array) -> dict[str, float]:
         """Return, by name, the bodies whose mesh is too coarse at q, with its relative error."""
         return {}
 

@@ -107,9 +107,9 @@ class ControlledSystem(MechanicalSystem):
         """Return a text that names folded bodies of the base."""
         return self.base.folded(q)
 
-    def coarse(self, q: Array) -> dict[str, float]:
+    def coarse(self, states: Array) -> dict[str, float]:
         """Return, by name, bodies of the base whose mesh is too coarse at q."""
-        return self.base.coarse(q)
+        return self.base.coarse(states)
 
     def contacts(self) -> ContactRecord | None:
         """Return a new record of the contacts of the base."""
