@@ -86,9 +86,7 @@ _STRAIN = 0.1
 # on the part of a strain, of degree four, that is not quadratic in xi.
 _WEIGHTS = np.array([7, 32, 12, 32, 14, 32, 12, 32, 7]) / 180.0
 _CENTRED = 2.0 * _PLACES - 1.0
-_FREE = np.stack(
-    [np.ones(9), np.sqrt(3.0) * _CENTRED, np.sqrt(5.0) * (1.5 * _CENTRED**2 - 0.5)]
-)
+_FREE = np.stack([np.ones(9), np.sqrt(3.0) * _CENTRED, np.sqrt(5.0) * (1.5 * _CENTRED**2 - 0.5)])
 # The force between the ends of an element is the mean of E A eps r_x with weights 6 xi (1 - xi).
 _CHORD = 6.0 * _PLACES * (1.0 - _PLACES) * _WEIGHTS
 _BEYOND = np.eye(9) - _FREE.T @ (_FREE * _WEIGHTS)
@@ -147,10 +145,15 @@ class Folds:
                 texts.append(f"{name!r}, element{'s' if len(places) > 1 else ''} {some}")
         return "; ".join(texts)
 
-    def coarse(self, states: Array) -> dict[str, float]:
-        """Return eta, by name, of beams that have too few elements in states, rows of q."""
+    def coarse(self, states: Array, moving: bool) -> dict[str, float]:
+        """Return eta, by name, of beams that have too few elements in states, rows of q.
+
+        Cables are left out of states of a motion: inertia shapes a rope that falls, and not its
+        bending.
+        """
         values = np.zeros(len(self._names))
-        for own, _, group in self._groups:
+        groups = [each for each in self._groups if each[2].has_sections or not moving]
+        for own, _, group in groups:
             rows = states.real.reshape(len(states), -1, self._d)
             error, work, yielded, rest = np.sum([group.parts(Z) for Z in rows], axis=0)
             bent = rest > 0
@@ -187,17 +190,17 @@ class _Alike:
         n_s = ends.shape[1] // 2
         self._lengths = parameters[:, ElementParameter.LENGTH, None]
         self._free = 1.0 - 2.0 * parameters[:, ElementParameter.INITIAL_STRAIN, None]
-        self._has_sections = n_s == self._d + 1
+        self.has_sections = n_s == self._d + 1
         y, z = kind.section.outline(kind.sizes(parameters))
         # Distance of the outermost fibres from the axis; zero for cables.
-        reach = [np.max(np.abs(x), axis=1) * self._has_sections for x in (y, z)]
+        reach = [np.max(np.abs(x), axis=1) * self.has_sections for x in (y, z)]
         self._reach = np.stack(reach[: max(1, n_s - 2)], axis=1)
         self._offsets = (y, z)[: self._d - 1]
         # Node vectors of the reference, whose chord is given per unit length.
         start = np.zeros_like(units[:, :1])
         chord = self._lengths[..., None] * units[:, :1]
         X = np.concatenate([start, units[:, 1:n_s], chord, units[:, n_s:]], axis=1)
-        if self._has_sections:
+        if self.has_sections:
             slopes = X.reshape(-1, 2, self._d + 1, self._d)[:, :, 1:]
             self._upright = np.sign(np.linalg.det(slopes))
         self._stretch_o = self._stretch(self._tangents(X))
@@ -220,7 +223,7 @@ class _Alike:
         X = Z[self._ends]
         r_x = self._tangents(X)
         crushed = 3.0 * self._stretch(r_x) <= self._free * self._stretch_o
-        if self._has_sections:
+        if self.has_sections:
             # In the reference the determinants have one sign along an element.
             turned = self._volumes(X, r_x) <= 0
         else:
@@ -278,7 +281,7 @@ class _Alike:
         X = Z[self._ends]
         stretch = self._stretch(self._tangents(X)) / self._stretch_o
         axial = 0.5 * self._largest(np.abs(stretch - self._free))
-        if not self._has_sections:
+        if not self.has_sections:
             return axial
         change = np.sqrt(_square(self._turns(X) - self._turns_o))
         return np.maximum(axial, self._largest(change / self._lengths * self._reach))
@@ -288,7 +291,7 @@ class _Alike:
 
         The axes of beams are their section slopes; cables, without sections, keep the vectors.
         """
-        if not self._has_sections:
+        if not self.has_sections:
             return vectors
         n_s = X.shape[1] // 2
         sections = X.reshape(len(X), 2, n_s, -1)[:, :, Quantity.SLOPE_Y :].swapaxes(0, 1)

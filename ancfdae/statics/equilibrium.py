@@ -288,9 +288,11 @@ def find_equilibrium(
     return Equilibrium(solution.q[0], end.lam, end.outcome, solution, q_b, lam_b)
 
 
-def warn_of_mesh(call: str, system: MechanicalSystem, states: Array, stacklevel: int) -> None:
+def warn_of_mesh(
+    call: str, system: MechanicalSystem, states: Array, stacklevel: int, moving: bool = False
+) -> None:
     """Warn of beams that have too few elements for their curvature in states, rows of q."""
-    coarse = system.coarse(states)
+    coarse = system.coarse(states, moving)
     if not coarse:
         return
     worst = max(coarse.values())

@@ -179,7 +179,7 @@ def _warn_of_states(system: MechanicalSystem, q: Array) -> None:
     """Warn the caller of `simulate` of few elements and of large strains in some of its states."""
     some = q[np.linspace(0, len(q) - 1, min(len(q), _LOOKS)).round().astype(int)]
     warn_of_strains("simulate", system, some, stacklevel=4)
-    warn_of_mesh("simulate", system, some, stacklevel=4)
+    warn_of_mesh("simulate", system, some, stacklevel=4, moving=True)
 
 
 def warn_of_strains(call: str, system: MechanicalSystem, q: Array, stacklevel: int = 3) -> None:
