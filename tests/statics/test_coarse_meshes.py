@@ -85,7 +85,7 @@ def test_a_thin_cantilever_that_misses_the_elastica_is_warned_of(h, load, n):
 def test_the_estimate_has_no_unit_and_no_place(unit, moved):
     """Lengths in m or mm, here or 360 lengths away; the deflection is 5.7 % too small."""
     start = unit * np.array(moved)
-    end = start + [unit, 0]
+    end = start + np.array([unit, 0.0])
     rod = Beam(
         "rod", start, end, 2, Rectangle(2e-3 * unit, 0.02 * unit), Material(1.0, E / unit**2, 0.3)
     )
@@ -189,7 +189,7 @@ def test_ropes_that_fall_are_no_coarse_meshes():
 
 
 def test_warnings_name_the_line_of_the_call():
-    rod, scene = cantilever(2e-3, 1, 0.3)
+    _, scene = cantilever(2e-3, 1, 0.3)
     ring = arc(2, 1e-3, 4)
     calls = (
         lambda: equilibrium(scene),
