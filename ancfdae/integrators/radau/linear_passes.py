@@ -8,10 +8,9 @@ With x_b and lam_b of the stages, and (i) for matrices linearised at stage i,
 
 solved with the exact matrix of the stages, which are then completed. The backward pass uses the
 same matrices, transposed, in reverse order. Velocities, accelerations and multipliers of the stages
-before completion are not part of a solution; they follow from the positions. V is the completed v,
-which is part of it, less v - V: differences of positions over h have their round-off over h, which
-far from the origin exceeds the speeds at which friction sticks, and give v - V only, which lies
-across the constraints.
+before completion are not part of a solution; they follow from the positions. V is the completed v
+less v - V, which differences of positions give: their round-off over h, far from the origin more
+than the speeds at which friction sticks, then acts across the constraints only.
 
 **Stages completed.** From positions q on the constraints and velocities V that may violate theirs,
 
