@@ -26,6 +26,7 @@ class Verdict(Enum):
     EQUILIBRIUM = "the equilibrium was reached"
     FOLDED = "elements are folded"
     OFF_ROUTE = "a guide is beyond the end of its beam, or a rope off its pulley"
+    OPENED = "a joint opens of which equations are left out"
     POLE = "the next step passes over a pole of the equations"
     INDEFINITE = "the mass matrix ceases to be positive definite"
     MISSED_CONTACT = "the steps do not resolve a contact"

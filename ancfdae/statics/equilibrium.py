@@ -22,7 +22,13 @@ from typing import Any, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.saddle_points import force_total, held_total, solve, solve_transposed
+from ancfdae.equations.saddle_points import (
+    force_total,
+    held_total,
+    refuse_opened,
+    solve,
+    solve_transposed,
+)
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import (
     Sensitivities,
@@ -224,6 +230,8 @@ def find_equilibrium(
     if sensitivities and end.outcome.success:
         balance.work.factorisations += 1
         derivatives = Tangent(of, 0.0, end.q, end.lam).sensitivities()
+    if end.outcome.success:
+        refuse_opened(of, 0.0, end.q)
     if end.outcome.success and not near:
         _warn_of_mesh(system, end.q)
         _warn_of_passage(system, np.stack([q, end.q]))

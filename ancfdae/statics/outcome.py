@@ -84,8 +84,11 @@ class EquilibriumOutcome:
         Exponent s of the vibration that grows fastest without damping because follower loads feed
         it; 1/s. None without such a vibration.
     growth : complex or None
-        Exponent s of the motion of the mechanism with its controllers that grows fastest; 1/s. None
-        if none grows, or without controllers with states.
+        Exponent s of a motion that grows with damping and controllers; 1/s. None if none grows, or
+        none was searched.
+    growth_searched : bool
+        Whether `growth` was searched: `equilibrium` does where there are controllers with states,
+        or damping beside loads that turn with the motion, which damping can make unstable.
     flutter_searched : bool
         Whether all motions were searched for flutter: False with follower loads on more than 1,500
         independent motions, of which only the twenty nearest to zero were searched.
@@ -101,6 +104,7 @@ class EquilibriumOutcome:
     folded: str = ""
     flutter: complex | None = None
     growth: complex | None = None
+    growth_searched: bool = False
     flutter_searched: bool = True
 
     @property
@@ -142,16 +146,18 @@ class EquilibriumOutcome:
             above = f" above {100 * self.stable_to:.3g} % of the load" if self.stable_to else ""
             held = _GYROSCOPIC if self.gyroscopic else "it is unstable (buckled)"
             yield f"its stiffness is negative{above}: {held}"
-        if self.flutter is not None:
+        if self.flutter is not None and self.growth is None:
+            held = "its damping holds it, without which" if self.growth_searched else ""
             yield (
-                "unless damping holds it, it flutters: its loads turn with the motion, and a "
-                f"vibration of {self.flutter.imag:.4g} rad/s grows by {self.flutter.real:.3g} 1/s"
+                f"{held or 'unless damping holds it,'} it flutters: its loads turn with the "
+                f"motion, and a vibration of {self.flutter.imag:.4g} rad/s grows by "
+                f"{self.flutter.real:.3g} 1/s"
             )
         if self.growth is not None:
             vibrates = f" and vibrates with {self.growth.imag:.4g} rad/s"
             yield (
-                f"its controllers do not hold it: a motion grows by {self.growth.real:.3g} 1/s"
-                f"{vibrates if self.growth.imag else ''}"
+                "it is unstable with its damping and controllers: a motion grows by "
+                f"{self.growth.real:.3g} 1/s{vibrates if self.growth.imag else ''}"
             )
         if not self.flutter_searched:
             yield (
