@@ -62,7 +62,7 @@ class RunOutcome:
     load : float or None
         Load factor that a search for an equilibrium reached, dimensionless; None for a motion.
     advice : str
-        Hint at a remedy, as text; may be empty.
+        Hint at a remedy, as text; of an equilibrium why it is unstable. May be empty.
     """
 
     verdict: Verdict
@@ -81,7 +81,8 @@ class RunOutcome:
         moving = self.load is None
         if self.success:
             when = f"t = {self.time:.6g}, " if moving else ""
-            return f"{self.verdict.value} ({when}{self.step} steps)."
+            text = f"{self.verdict.value} ({when}{self.step} steps)"
+            return f"{text}; {self.advice}." if self.advice else f"{text}."
         where = f"t = {self.time:.6g}" if moving else f"{100 * (self.load or 0):.6g} % of the load"
         text = (
             f"{self.verdict.value} at {where}, after {self.step} accepted steps, with "

@@ -384,6 +384,13 @@ def _turned(system: MechanicalSystem, rows: Rows, known: Array) -> Array:
     return np.asarray(changes > _VELOCITIES * (sizes[1:] + sizes[:-1]))
 
 
+_MISSING = (
+    "Equations of joints are left out (Scene.left_out): those that stay may depend on each other "
+    "near this position, where the mechanism itself is regular. Declare one of these joints as a "
+    "stiff Bushing instead."
+)
+
+
 def locks(t: float) -> str:
     """Return the sentence that the joints lock at time t, s."""
     return (
@@ -393,14 +400,18 @@ def locks(t: float) -> str:
 
 
 def lock(system: MechanicalSystem, t: float, q: Array, end: float) -> str:
-    """Return a message if the joints lock right after time t, s; empty if they do not."""
+    """Return a message if the joints lock right after time t, s, or may lack equations there.
+
+    It is empty if they do not.
+    """
+    missing = _MISSING if system.traits.rows_left_out else ""
     if np.iscomplexobj(q) or not end > t:
-        return ""
+        return missing
     taken, known = system.constraint_pattern.determined
     if not np.any(known):
-        return ""
+        return missing
     reached, _ = followed(system, t, q, end, taken=taken)
-    return locks(reached) if reached < end else ""
+    return locks(reached) if reached < end else missing
 
 
 def turn_error(system: MechanicalSystem, t: float, h: float, order: int) -> float:
