@@ -13,17 +13,29 @@ of stress, is smallest at lambda^2 = lambda_f^2/3: a bar that is compressed fart
 force.
 
 The axis of an element is a cubic, which cannot bend without stretching: an axis that turns by phi
-has a strain of phi^4/1920 at its middle, whatever its length. So the part of the strain that is not
-linear in xi (loads give the linear part) contributes to E A eps^2/2 an error of the mesh. A wire
-turns by fractions of a radian until this error exceeds its bending energy. A cubic does not have
-the curvature of an arc, either: the energy of bending errs by up to phi^4/180 (measured;
+has a strain of phi^4/1920 at its middle, whatever its length, and one whose curvature varies along
+the element has strains of the order of phi^2. The stretch r_x can cancel parts of them up to degree
+two in xi; loads give a linear part. So the part eps_n of degrees three and four is an error of the
+mesh. It contributes to E A eps^2/2, and it resists bending by moments m at the ends (membrane
+locking): the derivatives of int E A eps_n^2/2 ds by the rotations theta of the end tangents. Ends
+that are free of them would turn by K^-1 m more, K = E I/l [4, 2; 2, 4]. A cubic does not have the
+curvature of an arc, either: the energy of bending errs by up to phi^4/180 (measured;
 docs/theory/11-statics.md). The error of the stiffness is
 
-    eta = int E A eps_nl^2 + E I kappa^2 phi^4/180 ds / int E I kappa^2 + E A (eps^2 - eps_nl^2) ds
+    eta  = int E A eps_n^2 + E I kappa^2 phi^4/180 ds / U + loss/4,
+    U    = int E I kappa^2 + E A (eps^2 - eps_n^2) ds,
+    loss = (|theta m| + m K^-1 m) / (U + 2 |theta m| + m K^-1 m),
 
-In a beam without tension it is 1.2 (l/h)^2 (phi^3/1920)^2 + phi^4/180. Both terms grow as phi^4,
-and phi with the load: at given loads the energy errs by about 5 eta, and its derivative in the
-stiffness or in a load by up to 25 eta.
+summed over the elements of a beam (and over states of a motion), kappa and theta relative to the
+reference. In a beam without tension the first term is 1.2 (l/h)^2 (phi^3/1920)^2 + phi^4/180.
+Both parts grow as phi^4, and phi with the load: at given loads the energy errs by about 5 eta, and
+its derivative in the stiffness or in a load by up to 25 eta. The loss is the part of a deflection
+that is missing, but for a factor of 0.3 to 1 where some of eps_n is of degree one or two.
+
+Elements that are curved in the reference lock at small loads, too. Where they turn by phi_o there,
+e = x^2/(1 + x^2), x = (l/r) phi_o^3/380 with the radius of gyration r of the section, is the part
+of their deflection that is missing (fitted to quarter circles; docs/measurements.md). eta is e/5
+at least, whatever the state.
 
 The laws of beams and cables are linear in Green and Lagrange's strain E = (lambda^2 - 1)/2: where
 Hooke's law in the stretch, e = lambda - 1, gives the force E A e, they give 1 + 3 e/2 times it. The
@@ -33,7 +45,6 @@ a circle (docs/howto/elements.md); the bending of cables, M = E I dtheta/ds, doe
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import final
 
 import numpy as np
@@ -56,23 +67,29 @@ _TANGENTS = tangent_weights(_PLACES)
 _NAMED = 3
 # Error of the stiffness above which elements are too few: values err by 2 %, derivatives by 10 %.
 _SHARE = 0.004
+# Parts of eta for 1 of the loss in bent states, and of the loss e of curved references.
+_LOSS, _CURVED = 0.25, 0.2
+# An element that turns by phi_o in the reference has x = (l/r) phi_o^3/_ARCH.
+_ARCH = 380.0
 # Error of the energy of bending of an element that turns by phi, over phi^4: the larger one, of
 # beams (5.6e-3; of cables 2.8e-3).
 _ARC = 1 / 180
 # Further limits, fitted, not derived. If tension shapes the elements, with a mean N l^2/EI above
 # _LIMP, as in limp cables, forces are right whatever eta, until one of the elements turns by more
 # than _TURN, in rad: then they err by 20 % and more. Beams whose elements change their turn by less
-# than _STRAIGHT, in rad, are not checked: eta is then large only for elements 3e5 times as long as
-# high, or by round-off.
-_LIMP, _TURN, _STRAIGHT = 25.0, 0.5, 0.1
+# than _STRAIGHT, in rad, are not checked: round-off could make eta large.
+_LIMP, _TURN, _STRAIGHT = 25.0, 0.5, 1e-8
 # Largest strain of a fibre for which the laws are valid: in bending it changes a shape by 1 % and
 # its gradient by 2.4 %; in stretching it changes a force by 15 %.
 _STRAIN = 0.1
-# Weights of Boole's rule on two intervals, functions linear in xi, and the projector on the part of
-# a strain that is not linear in xi.
+# Weights of Boole's rule on two intervals, orthonormal functions quadratic in xi, and the projector
+# on the part of a strain, of degree four, that is not quadratic in xi.
 _WEIGHTS = np.array([7, 32, 12, 32, 14, 32, 12, 32, 7]) / 180.0
-_LINE = np.stack([np.ones(9), np.sqrt(3.0) * (2.0 * _PLACES - 1.0)])
-_BEYOND = np.eye(9) - _LINE.T @ (_LINE * _WEIGHTS)
+_CENTRED = 2.0 * _PLACES - 1.0
+_FREE = np.stack([np.ones(9), np.sqrt(3.0) * _CENTRED, np.sqrt(5.0) * (1.5 * _CENTRED**2 - 0.5)])
+# The force between the ends of an element is the mean of E A eps r_x with weights 6 xi (1 - xi).
+_CHORD = 6.0 * _PLACES * (1.0 - _PLACES) * _WEIGHTS
+_BEYOND = np.eye(9) - _FREE.T @ (_FREE * _WEIGHTS)
 # Bernstein's polynomials of degree two and one at the locations, (9, 3) and (9, 2); and the weights
 # of products of coefficients of a tangent and of 1, 2 or 4 normals at them.
 _QUADRATIC = np.stack([(1 - _PLACES) ** 2, 2 * _PLACES * (1 - _PLACES), _PLACES**2], axis=1)
@@ -128,21 +145,33 @@ class Folds:
                 texts.append(f"{name!r}, element{'s' if len(places) > 1 else ''} {some}")
         return "; ".join(texts)
 
-    def coarse(self, q: Array) -> dict[str, float]:
-        """Return eta, by name, of the beams that have too few elements at coordinates q."""
-        return self._above(_SHARE, _Alike.share, q)
+    def coarse(self, states: Array, moving: bool) -> dict[str, float]:
+        """Return eta, by name, of beams that have too few elements in states, rows of q.
+
+        Cables are left out of states of a motion: inertia shapes a rope that falls, and not its
+        bending.
+        """
+        values = np.zeros(len(self._names))
+        groups = [each for each in self._groups if each[2].has_sections or not moving]
+        for own, _, group in groups:
+            rows = states.real.reshape(len(states), -1, self._d)
+            error, work, yielded, rest = np.sum([group.parts(Z) for Z in rows], axis=0)
+            bent = rest > 0
+            rest = np.where(bent, rest, 1.0)
+            loss = (work + yielded) / (rest + 2.0 * work + yielded)
+            eta = bent * (error / rest + _LOSS * loss)
+            values[own] = np.maximum(eta, _CURVED * group.curved())
+        return self._above(_SHARE, values)
 
     def strained(self, q: Array) -> dict[str, float]:
         """Return the largest fibre strain, by name, of beams strained beyond the laws' validity."""
-        return self._above(_STRAIN, _Alike.strain, q)
-
-    def _above(
-        self, limit: float, measure: Callable[[_Alike, Array], Array], q: Array
-    ) -> dict[str, float]:
-        """Return, by beam name, values of `measure` (a strain, say) that exceed `limit`."""
         values, Z = np.zeros(len(self._names)), q.real.reshape(-1, self._d)
         for own, _, group in self._groups:
-            values[own] = measure(group, Z)
+            values[own] = group.strain(Z)
+        return self._above(_STRAIN, values)
+
+    def _above(self, limit: float, values: Array) -> dict[str, float]:
+        """Return, by name, values of the beams, (n_beams,), that exceed `limit`."""
         return {self._names[k]: float(values[k]) for k in np.flatnonzero(values > limit)}
 
 
@@ -161,17 +190,17 @@ class _Alike:
         n_s = ends.shape[1] // 2
         self._lengths = parameters[:, ElementParameter.LENGTH, None]
         self._free = 1.0 - 2.0 * parameters[:, ElementParameter.INITIAL_STRAIN, None]
-        self._has_sections = n_s == self._d + 1
+        self.has_sections = n_s == self._d + 1
         y, z = kind.section.outline(kind.sizes(parameters))
         # Distance of the outermost fibres from the axis; zero for cables.
-        reach = [np.max(np.abs(x), axis=1) * self._has_sections for x in (y, z)]
+        reach = [np.max(np.abs(x), axis=1) * self.has_sections for x in (y, z)]
         self._reach = np.stack(reach[: max(1, n_s - 2)], axis=1)
         self._offsets = (y, z)[: self._d - 1]
         # Node vectors of the reference, whose chord is given per unit length.
         start = np.zeros_like(units[:, :1])
         chord = self._lengths[..., None] * units[:, :1]
         X = np.concatenate([start, units[:, 1:n_s], chord, units[:, n_s:]], axis=1)
-        if self._has_sections:
+        if self.has_sections:
             slopes = X.reshape(-1, 2, self._d + 1, self._d)[:, :, 1:]
             self._upright = np.sign(np.linalg.det(slopes))
         self._stretch_o = self._stretch(self._tangents(X))
@@ -183,7 +212,7 @@ class _Alike:
         modulus = rows[:, ElementParameter.YOUNGS_MODULUS, None]
         self._EA = (modulus * np.sum(dA, axis=1, keepdims=True))[same.ravel()]
         self._EI = (modulus * moments[:, : max(1, n_s - 2)])[same.ravel()]
-        self._bend_o = np.sqrt(self._bends(X))
+        self._turns_o = self._turns(X)
 
     def _largest(self, x: Array) -> Array:
         """Return the largest entry for each beam, (n_beams,), of element values, (n, k)."""
@@ -194,7 +223,7 @@ class _Alike:
         X = Z[self._ends]
         r_x = self._tangents(X)
         crushed = 3.0 * self._stretch(r_x) <= self._free * self._stretch_o
-        if self._has_sections:
+        if self.has_sections:
             # In the reference the determinants have one sign along an element.
             turned = self._volumes(X, r_x) <= 0
         else:
@@ -202,65 +231,87 @@ class _Alike:
             turned = (r_x @ chord[:, :, None])[..., 0] <= 0
         return np.asarray((crushed | turned).any(axis=1))
 
-    def share(self, Z: Array) -> Array:
-        """Return eta (module docstring) of each beam, (n_beams,); zero where tension dominates."""
+    def parts(self, Z: Array) -> Array:
+        """Return terms of eta (module docstring) of each beam, (4, n_beams); N m.
+
+        Sums of int E A eps_n^2 + E I kappa^2 phi^4/180 ds, of theta m, of m K^-1 m, and U; zeros
+        for beams that tension shapes, or that are hardly bent.
+        """
         X = Z[self._ends]
-        strain = 0.5 * (self._stretch(self._tangents(X)) / self._stretch_o - self._free)
+        r_x = self._tangents(X)
+        strain = 0.5 * (self._stretch(r_x) / self._stretch_o - self._free)
         beyond = strain @ _BEYOND.T
         axial, error = (
             self._EA * self._lengths * (x**2 @ _WEIGHTS)[:, None] for x in (strain, beyond)
         )
         # The bending of the reference is free of stress and rotates with the element.
-        change = np.sqrt(self._bends(X)) - self._bend_o
-        bending = self._EI / self._lengths * change**2
-        force = np.abs(self._EA * (strain @ _WEIGHTS)[:, None])
-        rest, error, pulled = np.add.reduceat(
-            [
-                (axial - error)[:, 0] + bending.sum(axis=1),
-                # The change of an element is its turn.
-                error[:, 0] + _ARC * (bending * change**4).sum(axis=1),
-                (force * self._lengths**2 / self._EI).sum(axis=1),
-            ],
-            self._first,
-            axis=1,
-        )
-        limp = pulled > _LIMP * self._counts * change.shape[1]
-        shaped = self._largest(np.abs(change)) > _STRAIGHT
-        if limp.any():
+        turns = self._turns(X) - self._turns_o
+        square = _square(turns)
+        bending = self._EI / self._lengths * square
+        moments = self._moments(X, r_x, beyond)
+        a, b = moments
+        chord = _unit(_WEIGHTS @ r_x)
+        force = np.einsum("np,npd,nd->n", strain * _CHORD, r_x, chord)[:, None]
+        # The change of an element is its turn.
+        arcs = error[:, 0] + _ARC * (bending * square**2).sum(axis=1)
+        work = np.abs((turns * moments).sum(axis=(0, 2)))
+        yielded = (self._lengths / (3.0 * self._EI) * (a * a - a * b + b * b)).sum(axis=1)
+        rest = (axial - error)[:, 0] + bending.sum(axis=1)
+        pulled = np.maximum(force, 0.0) * self._EA * self._lengths**2 / self._EI
+        terms = [arcs, work, yielded, rest, pulled.sum(axis=1)]
+        *found, pulled = np.add.reduceat(terms, self._first, axis=1)
+        ignored = pulled > _LIMP * self._counts * self._EI.shape[1]
+        if ignored.any():
             ends = [_unit(X[:, k + Quantity.SLOPE_X]) for k in (0, X.shape[1] // 2)]
             # |t_2 - t_1| = 2 sin(phi/2).
             turn = self._largest(np.sqrt(np.sum((ends[1] - ends[0]) ** 2, axis=1))[:, None])
-            shaped = np.where(limp, turn > 2.0 * np.sin(0.5 * _TURN), shaped)
-        shaped &= rest > 0
-        return np.asarray(np.where(shaped, error / np.where(shaped, rest, 1.0), 0.0))
+            ignored &= turn <= 2.0 * np.sin(0.5 * _TURN)
+        ignored |= self._largest(square) <= _STRAIGHT**2
+        return np.where(ignored, 0.0, np.stack(found))
+
+    def curved(self) -> Array:
+        """Return the part e of the deflection that each beam lacks by its unloaded curvature."""
+        bent = _square(self._turns_o)
+        thin = (bent * self._EA / self._EI).sum(axis=1) * self._lengths[:, 0] ** 2
+        x = thin * bent.sum(axis=1) ** 2 / _ARCH**2
+        return np.asarray(np.add.reduceat(x / (1.0 + x), self._first) / self._counts)
 
     def strain(self, Z: Array) -> Array:
         """Return the largest strain of a fibre in each beam, shape (n_beams,)."""
         X = Z[self._ends]
         stretch = self._stretch(self._tangents(X)) / self._stretch_o
         axial = 0.5 * self._largest(np.abs(stretch - self._free))
-        if not self._has_sections:
+        if not self.has_sections:
             return axial
-        change = np.sqrt(self._bends(X)) - self._bend_o
-        return np.maximum(axial, self._largest(np.abs(change / self._lengths * self._reach)))
+        change = np.sqrt(_square(self._turns(X) - self._turns_o))
+        return np.maximum(axial, self._largest(change / self._lengths * self._reach))
 
-    def _bends(self, X: Array) -> Array:
-        """Return the integral of kappa^2 ds times the length about each axis, shape (n, 1 or 2).
+    def _across(self, X: Array, vectors: Array) -> Array:
+        """Return components of vectors of both ends, (2, n, d), across the axis, (2, n, k).
 
-        The curvature is linear between the rotations of both ends from the chord: 4 (a^2 + a b +
-        b^2).
+        The axes of beams are their section slopes; cables, without sections, keep the vectors.
         """
+        if not self.has_sections:
+            return vectors
+        n_s = X.shape[1] // 2
+        sections = X.reshape(len(X), 2, n_s, -1)[:, :, Quantity.SLOPE_Y :].swapaxes(0, 1)
+        return np.asarray(np.einsum("enkd,end->enk", _unit(sections), vectors))
+
+    def _turns(self, X: Array) -> Array:
+        """Return rotations of both end tangents from the chord about each axis, (2, n, k); rad."""
         n_s = X.shape[1] // 2
         chord = _unit(X[:, n_s] - X[:, 0])
-        a, b = (_unit(X[:, k + Quantity.SLOPE_X]) - chord for k in (0, n_s))
-        if self._EI.shape[1] == 2:
-            # In the axes of either section.
-            a, b = (
-                np.einsum("nkd,nd->nk", _unit(X[:, k + Quantity.SLOPE_Y : k + n_s]), turn)
-                for k, turn in ((0, a), (n_s, b))
-            )
-            return np.asarray(4.0 * (a * a + a * b + b * b))
-        return np.asarray(4.0 * np.sum(a * a + a * b + b * b, axis=1, keepdims=True))
+        ends = [_unit(X[:, k + Quantity.SLOPE_X]) - chord for k in (0, n_s)]
+        return self._across(X, np.stack(ends))
+
+    def _moments(self, X: Array, r_x: Array, beyond: Array) -> Array:
+        """Return moments at both ends of the strains `beyond`, (n, n_p), shape (2, n, k); N m."""
+        pressed = beyond / self._stretch_o * _WEIGHTS * self._EA * self._lengths
+        force = np.einsum("pe,np,npd->end", _TANGENTS[:, 1:], pressed, r_x)
+        tangent = X[:, [Quantity.SLOPE_X, X.shape[1] // 2 + Quantity.SLOPE_X]].swapaxes(0, 1)
+        along = _unit(tangent)
+        across = force - np.sum(force * along, axis=2, keepdims=True) * along
+        return self._across(X, across * np.sqrt(np.sum(tangent**2, axis=2, keepdims=True)))
 
     def _tangents(self, X: Array) -> Array:
         """Return the tangents r_x of elements at locations on the axis, shape (n, n_p, d)."""
@@ -389,6 +440,15 @@ def _turning(numbering: Numbering, vector: int, is_cable: bool, is_crushed: bool
         "damping_time, start with sections that have the contraction of their axis, or take more "
         "elements"
     )
+
+
+def _square(turns: Array) -> Array:
+    """Return the integral of kappa^2 ds times the length about each axis, shape (n, k).
+
+    The curvature is linear between rotations a and b of both ends: 4 (a^2 + a b + b^2).
+    """
+    a, b = turns
+    return np.asarray(4.0 * (a * a + a * b + b * b))
 
 
 def _unit(x: Array) -> Array:

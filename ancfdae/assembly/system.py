@@ -471,9 +471,9 @@ class AncfSystem(PlannedSystem):
         """Return a text naming elements turned inside out, bent back or crushed; else empty."""
         return self._folds.words(q)
 
-    def coarse(self, q: Array) -> dict[str, float]:
+    def coarse(self, states: Array, moving: bool = False) -> dict[str, float]:
         """Return, by name, beams with too few elements and their error of the stiffness."""
-        return self._folds.coarse(q)
+        return self._folds.coarse(states, moving)
 
     def strained(self, q: Array) -> dict[str, float]:
         """Return, by name, beams strained beyond the validity of their laws, with the strain."""

@@ -340,8 +340,11 @@ class MechanicalSystem(ComplexSteps):
         """
         return ""
 
-    def coarse(self, q: Array) -> dict[str, float]:
-        """Return, by name, the bodies whose mesh is too coarse at q, with its relative error."""
+    def coarse(self, states: Array, moving: bool = False) -> dict[str, float]:
+        """Return, by name, bodies whose mesh is too coarse in states, rows of q, with its error.
+
+        The error is relative to the energy. `moving` leaves out bodies that inertia may shape.
+        """
         return {}
 
     def strained(self, q: Array) -> dict[str, float]:

@@ -442,9 +442,9 @@ class PhaseSystem(LaterSystem):
         """Return the names of parts that are folded at q, as text."""
         return self.base.folded(q)
 
-    def coarse(self, q: Array) -> dict[str, float]:
-        """Return the parts whose mesh is too coarse at q, with the measure of it."""
-        return self.base.coarse(q)
+    def coarse(self, states: Array, moving: bool = False) -> dict[str, float]:
+        """Return the parts whose mesh is too coarse in states, rows of q, with its error."""
+        return self.base.coarse(states, moving)
 
     def strained(self, q: Array) -> dict[str, float]:
         """Return the parts strained beyond the range of their laws at q, with their strains."""

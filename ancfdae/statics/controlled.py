@@ -107,9 +107,9 @@ class ControlledSystem(MechanicalSystem):
         """Return a text that names folded bodies of the base."""
         return self.base.folded(q)
 
-    def coarse(self, q: Array) -> dict[str, float]:
-        """Return, by name, bodies of the base whose mesh is too coarse at q."""
-        return self.base.coarse(q)
+    def coarse(self, states: Array, moving: bool = False) -> dict[str, float]:
+        """Return, by name, bodies of the base whose mesh is too coarse in states, rows of q."""
+        return self.base.coarse(states, moving)
 
     def opened(self, t: Array, q: Array) -> tuple[int, str] | None:
         """Return the first of k states of the base that opens an equation left out."""

@@ -233,7 +233,7 @@ def find_equilibrium(
     if end.outcome.success:
         refuse_opened(of, 0.0, end.q)
     if end.outcome.success and not near:
-        _warn_of_mesh(system, end.q)
+        warn_of_mesh("equilibrium", system, end.q[None], stacklevel=5)
         _warn_of_passage(system, np.stack([q, end.q]))
         if balance.judges and not (end.definite and system.traits.symmetric):
             end = _judged(balance, end)
@@ -247,19 +247,21 @@ def find_equilibrium(
     return Equilibrium(solution.q[0], end.lam, end.outcome, solution, q_b, lam_b)
 
 
-def _warn_of_mesh(system: MechanicalSystem, q: Array) -> None:
-    """Warn of beams that have too few elements for their curvature at q."""
-    coarse = system.coarse(q)
+def warn_of_mesh(
+    call: str, system: MechanicalSystem, states: Array, stacklevel: int, moving: bool = False
+) -> None:
+    """Warn of beams that have too few elements for their curvature in states, rows of q."""
+    coarse = system.coarse(states, moving)
     if not coarse:
         return
     worst = max(coarse.values())
     warnings.warn(
-        f"equilibrium: too few elements for the bending of {listed(map(repr, coarse))}: "
+        f"{call}: too few elements for the bending of {listed(map(repr, coarse))}: "
         f"{100 * worst / (1 + worst):.2g} % of the energy is an error of the mesh. Values err by "
         "about five times as much, derivatives by up to twenty-five times. Double the number of "
         "elements until this warning is gone.",
         CoarseMeshWarning,
-        stacklevel=5,
+        stacklevel=stacklevel,
     )
 
 

@@ -34,6 +34,7 @@ from ancfdae.sensitivity.method import (
 )
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.observable import Observable, states_of
+from ancfdae.statics.equilibrium import warn_of_mesh
 from ancfdae.studies.parts import Keep, RunOfParts
 from ancfdae.studies.remedies import with_remedies
 
@@ -104,7 +105,8 @@ def simulate(
     Warns of errors estimated larger than the motion, or large near a singular position of joints
     (`StabilityWarning`), of very many steps under error control (`ManyStepsWarning`), and of a
     tolerance that cannot be reached (`ToleranceWarning`). Beams strained beyond the validity of
-    their elements at one of nine times, the end included, give a `LargeStrainWarning`.
+    their elements at one of nine times, the end included, give a `LargeStrainWarning`; those with
+    too few elements for their curvature at these times give a `CoarseMeshWarning`.
 
     Parameters
     ----------
@@ -153,7 +155,7 @@ def simulate(
             system, t_end, integrator, events or (), modes, None, progress
         )
         phased = simulated(run_with_events, after, keep)
-        warn_of_strains("simulate", system, phased.q)
+        _warn_of_states(system, phased.q)
         return phased
     if tolerance is not None:
         _require_alone("tolerance", integrator=integrator, after=after, keep=keep)
@@ -170,17 +172,22 @@ def simulate(
         return _thinned(run, keep)
     solution = with_remedies(model, run, uninterrupted(run.solution()))
     if solution.outcome.success:
-        warn_of_strains("simulate", system, solution.q)
+        _warn_of_states(system, solution.q)
     return _warned(system, solution)
 
 
-def warn_of_strains(call: str, system: MechanicalSystem, q: Array) -> None:
+def _warn_of_states(system: MechanicalSystem, q: Array) -> None:
+    """Warn the caller of `simulate` of few elements and of large strains in some of its states."""
+    some = q[np.linspace(0, len(q) - 1, min(len(q), _LOOKS)).round().astype(int)]
+    warn_of_strains("simulate", system, some, stacklevel=4)
+    warn_of_mesh("simulate", system, some, stacklevel=4, moving=True)
+
+
+def warn_of_strains(call: str, system: MechanicalSystem, q: Array, stacklevel: int = 3) -> None:
     """Warn the caller of the call, once, of bodies strained too far at some states, rows of q."""
     strained: dict[str, float] = {}
-    if type(system).strained is MechanicalSystem.strained:
-        return
-    for k in np.linspace(0, len(q) - 1, min(len(q), _LOOKS)).round().astype(int):
-        for name, strain in system.strained(q[k]).items():
+    for state in q:
+        for name, strain in system.strained(state).items():
             strained[name] = max(strain, strained.get(name, 0.0))
     if strained:
         worst = max(strained.values())
@@ -191,7 +198,7 @@ def warn_of_strains(call: str, system: MechanicalSystem, q: Array) -> None:
             f"{100 * worst**2:.2g} % (its gradient by twice that; cables bend exactly): take the "
             "results as estimates.",
             LargeStrainWarning,
-            stacklevel=3,
+            stacklevel=stacklevel,
         )
 
 

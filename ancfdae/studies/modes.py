@@ -54,12 +54,20 @@ from ancfdae.numerics.threads import in_one_thread
 from ancfdae.numerics.timing import progress_bar
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
 from ancfdae.statics.controlled import about_states
-from ancfdae.statics.equilibrium import Equilibrium, NoEquilibriumError, Tangent
+from ancfdae.statics.equilibrium import (
+    Equilibrium,
+    NoEquilibriumError,
+    Tangent,
+    warn_of_mesh,
+)
 from ancfdae.studies.calls import as_system
 from ancfdae.studies.statics import equilibrium
 
 if TYPE_CHECKING:
     from ancfdae.plotting import Panel
+
+# Size of the vibration, relative to the configuration, in which elements are checked.
+_SMALL = 1e-5
 
 
 @in_one_thread
@@ -84,6 +92,9 @@ def modes(
 
     With controllers the exponents are the poles of the closed loop, about their states in `at`. A
     shape x e^{st} holds the states' integrals, so that the states of a mode are s times their rows.
+
+    Warns of beams with too few elements for the curvature of the configuration, or for the lowest
+    vibration about it (`CoarseMeshWarning`).
 
     Parameters
     ----------
@@ -130,7 +141,20 @@ def modes(
     back = where.pull_back if system.n_b and isinstance(method, Adjoint) else None
     configuration = where.configuration(system.n_b > 0 and back is None)
     known = where.matrices, where.mass
-    return modes_about(system, configuration, count, highest, damped, back, *known)
+    found = modes_about(system, configuration, count, highest, damped, back, *known)
+    _warn_of_mesh(system, configuration.q, found)
+    return found
+
+
+def _warn_of_mesh(system: MechanicalSystem, q: Array, found: Modes) -> None:
+    """Warn of beams with too few elements for the configuration or for its lowest vibration."""
+    w, states = system.weights, [q]
+    elastic = np.flatnonzero(found.exponents != 0)
+    if len(elastic):
+        shape = found.shapes[:, elastic[0]].real
+        sizes = [np.sqrt(w @ x**2) for x in (system.centred(q), shape)]
+        states.append(q + _SMALL * sizes[0] / sizes[1] * shape)
+    warn_of_mesh("modes", system, np.stack(states), stacklevel=5)
 
 
 @in_one_thread

@@ -37,7 +37,13 @@ from ancfdae.sensitivity.objectives.objective import NO_TOTALS, Totals
 from ancfdae.sensitivity.observables.observable import Observable, States
 from ancfdae.statics.controlled import about_states, with_states
 from ancfdae.statics.critical import CriticalLoad, find_critical
-from ancfdae.statics.equilibrium import MAX_STEPS, Equilibrium, Tangent, find_equilibrium
+from ancfdae.statics.equilibrium import (
+    MAX_STEPS,
+    Equilibrium,
+    Tangent,
+    find_equilibrium,
+    warn_of_mesh,
+)
 from ancfdae.studies.calls import as_system, cheapest, differentiable, warn_of_strains
 
 _STEPS = "For example 100."
@@ -152,6 +158,8 @@ def critical_load(
     Returns
     -------
     CriticalLoad
+        Warns of beams with too few elements for their curvature at the critical point, or in the
+        reference (`CoarseMeshWarning`).
 
     Raises
     ------
@@ -166,7 +174,9 @@ def critical_load(
     """
     require_flag("progress", progress)
     search = CriticalValue(model, parameter, to, design)
-    return find_critical(search.system, search.index, float(to), progress)
+    found = find_critical(search.system, search.index, float(to), progress)
+    warn_of_mesh("critical_load", search.system, found.equilibrium.q[None], stacklevel=3)
+    return found
 
 
 @final
