@@ -30,7 +30,7 @@ summed over the elements of a beam (and over states of a motion), kappa and thet
 reference. In a beam without tension the first term is 1.2 (l/h)^2 (phi^3/1920)^2 + phi^4/180.
 Both parts grow as phi^4, and phi with the load: at given loads the energy errs by about 5 eta, and
 its derivative in the stiffness or in a load by up to 25 eta. The loss is the part of a deflection
-that is missing, but for a factor of 0.3 to 1 where some of eps_n is of degree one or two.
+that is missing, but for a factor of 0.2 to 1 where some of eps_n is of degree one or two.
 
 Elements that are curved in the reference lock at small loads, too. Where they turn by phi_o there,
 e = x^2/(1 + x^2), x = (l/r) phi_o^3/380 with the radius of gyration r of the section, is the part
