@@ -124,7 +124,7 @@ class _Curve(FormulaJoint):
         return y - formulas[self.formula]
 
 
-class _Scene(RandomRun):
+class LoadScene(RandomRun):
     """A random scene with contacts, controllers and ropes, and perhaps with events."""
 
     def __init__(self, seed: int) -> None:
@@ -359,4 +359,4 @@ class _Scene(RandomRun):
 
 
 if __name__ == "__main__":
-    sys.exit(tally(_Scene, _PATIENCE, *map(int, sys.argv[1:])) > 0)
+    sys.exit(tally(LoadScene, _PATIENCE, *map(int, sys.argv[1:])) > 0)

@@ -20,7 +20,10 @@ _WAYS: Final = 5.0
 _LEAST: Final = 2.0**-7
 # Fraction 1/_PARTS of the reach by which nodes move between states in which neighbours are sought.
 _PARTS: Final = 20.0
-# Length of a step over the reach above which it is not examined before it is judged.
+# Least number of such states in the mean path of a step, which bounds shorter parts of a reach.
+_PER_STEP: Final = 4.0
+# Length of a step over the reach above which it is not examined before it is judged. A reach that
+# is shorter beside the mean step counts as this part of it.
 _FAR: Final = 100.0
 
 
@@ -31,12 +34,15 @@ def near_pairs(
 
     Gaps are at most the reach in one state, and half of it along a run. Along a run they are
     measured wherever a node has moved by 1/20 of the reach, by which gaps change by 1/4 of it, or
-    by more where no further pair could come so near. `wider` multiplies the reach.
+    by more where no further pair could come so near. A reach below 5 times the mean path of a step
+    counts as that much. `wider` multiplies the reach.
     """
     assert load.reach is not None
     places, reach = _places(load, naming, q), wider * load.reach
     steps = [np.linalg.norm(np.diff(x, axis=0), axis=2).max(axis=1) for x in places]
     way, done, found = np.concatenate([[0.0], np.cumsum(np.max(steps, axis=0))]), 0.0, list[Array]()
+    mean = way[-1] / max(len(q) - 1, 1)
+    reach = max(reach, mean * _PARTS / _PER_STEP)
     least = part = reach / _PARTS if len(q) > 1 else reach / (2 * _WAYS)
     while done <= way[-1]:
         at = np.interp(done, way, np.arange(len(way)))
@@ -82,13 +88,14 @@ class LeftOutPairs:
         if self._missed is not None or len(t) < 2:
             return
         way = np.concatenate([[0.0], np.cumsum(self._ways(t, q, v))])
+        least = _LEAST * max(self._reach, way[-1] / (len(t) - 1) / _FAR)
         done = 0.0
         while way[-1] - done > self._left:
             done += self._left
             k = int(np.clip(np.searchsorted(way, done, side="right") - 1, 0, len(t) - 2))
             s = min((done - way[k]) / (way[k + 1] - way[k]), 1.0)
             places = self._places(_on_cubic(s, (t, q, v), k))
-            self._left = self._free_way(places)
+            self._left = self._free_way(places, least)
             if not self._left:
                 advice = (
                     f"Raise `reach` of load {self._load.name!r}, {self._reach:.6g}, or leave it "
@@ -129,10 +136,13 @@ class LeftOutPairs:
     def _places(self, q: Array) -> list[Array]:
         return _places(self._load, self._naming, q)
 
-    def _free_way(self, places: list[Array]) -> float:
-        """Return how far nodes may move before a pair touches, m; zero if one may touch next."""
-        now, gap = [x[0] for x in places], max(2 * self._gap, self._reach / 2)
-        while gap > _LEAST * self._reach:
+    def _free_way(self, places: list[Array], least: float) -> float:
+        """Return how far nodes may move before a pair touches, m; zero if one may touch next.
+
+        A pair with a smaller gap than `least`, m, may.
+        """
+        now, gap = [x[0] for x in places], max(2 * self._gap, self._reach / 2, 2 * least)
+        while gap > least:
             if self._all_listed(now, gap):
                 self._gap = gap
                 return gap / _WAYS

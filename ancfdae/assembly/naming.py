@@ -15,7 +15,7 @@ from typing import Any, final
 import numpy as np
 
 from ancfdae.assembly.layout import BeamLayout, BodyLayout, Layout
-from ancfdae.assembly.rigid_motions import motions_in_words
+from ancfdae.assembly.rigid_motions import deforms, motions_in_words
 from ancfdae.equations.naming import Naming
 from ancfdae.errors.checks import named, require_index
 from ancfdae.errors.kinds import InvalidInputError
@@ -171,6 +171,10 @@ class SceneNaming(Naming):
     def motions_in_words(self, q: Array, motions: Array) -> str:
         """Return a text on which bodies move, and how, in motions without stiffness."""
         return motions_in_words(self.layout, q.real, motions)
+
+    def deforms(self, q: Array, motions: Array) -> bool:
+        """Return whether motions without stiffness, (n_q, k), change the shape of a body."""
+        return deforms(self.layout, q.real, motions)
 
     def packed(self) -> tuple[dict[str, Array], dict[str, Any]]:
         """Return the arrays and JSON data from which `load_solution` restores the naming."""

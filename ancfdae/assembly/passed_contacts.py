@@ -110,7 +110,7 @@ def _in_packet(
     rate = item.closing(U[:-1], np.stack([way * V[:-1], middle, way * V[1:]]), signals[:-1])
     apart = (depth[:-1] <= 0) & (depth[1:] <= 0) & (h[:, None] > 0)
     k, copy = np.nonzero(apart & (depth[:-1] + depth[1:] + rate > 0))
-    idle = _idle(item, groups, depth, F)
+    idle = _idle(item, groups, depth, F, (U, V, signals))
     if not len(k) and not len(idle[0]):
         return
     free, k, copy = len(k), np.append(k, idle[0]), np.append(copy, idle[1])
@@ -125,10 +125,13 @@ def _in_packet(
         yield from _impulses(item, groups, steps, which[some], within[some], copy)
 
 
-def _idle(item: LoadInput, groups: Grouped, depth: Array, F: Array) -> tuple[Array, Array, Array]:
+def _idle(
+    item: LoadInput, groups: Grouped, depth: Array, F: Array, states: tuple[Array, Array, Array]
+) -> tuple[Array, Array, Array]:
     """Return steps with contact without force at an end, copies, and three fractions of each.
 
-    There is no force for example at the centre of a ball. The fractions are as in `_touching`.
+    There is no force for example at the centre of a ball. The fractions are as in `_touching`. Of
+    a body between two others the forces may add up to zero: each contact has a force there.
     """
     row, copy = np.nonzero(depth > 0)
     group = groups.of_coordinates(
@@ -136,6 +139,10 @@ def _idle(item: LoadInput, groups: Grouped, depth: Array, F: Array) -> tuple[Arr
     )
     idle, last = F[row, group[copy]] == 0, len(depth) - 1
     row, copy = row[idle], copy[idle]
+    if len(row):
+        own = item.force(*(x[row, copy] for x in states))
+        idle = ~np.any(np.real(own) != 0, axis=(1, 2))
+        row, copy = row[idle], copy[idle]
     before = (row > 0) & (F[np.maximum(row - 1, 0), group[copy]] == 0)
     behind = (row < last) & (F[np.minimum(row + 1, last), group[copy]] == 0)
     parts = np.array([[0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])

@@ -148,15 +148,12 @@ _SHOWN = 3
 
 def motions_in_words(layout: Layout, q: Array, motions: Array) -> str:
     """Return a text on which bodies move, and how, in motions without stiffness, (n_q, k)."""
-    bodies = [_Body.of(beam, layout.d, q) for beam in layout.bodies]
-    fits = [body.fit(motions) for body in bodies]
-    basis = np.concatenate([fit.rigid for fit in fits])
-    size = max(fit.size for fit in fits)
+    bodies, fits, size = _fitted(layout, q, motions)
     deformed = [b for b, fit in zip(bodies, fits, strict=True) if fit.left > _RIGID * size]
     if deformed:
         return listed(body.bent_words(motions, size) for body in deformed)
     texts = []
-    for motion in _simplified(basis).T:
+    for motion in _simplified(np.concatenate([fit.rigid for fit in fits])).T:
         parts = np.split(motion, len(bodies))
         large = _SMALL * np.max(np.abs(motion))
         both = zip(bodies, parts, strict=True)
@@ -164,6 +161,20 @@ def motions_in_words(layout: Layout, q: Array, motions: Array) -> str:
         more = [f"{len(words) - _SHOWN} more beams move"] if len(words) > _SHOWN else []
         texts.append(" while ".join(words[:_SHOWN] + more))
     return "; ".join(texts)
+
+
+def deforms(layout: Layout, q: Array, motions: Array) -> bool:
+    """Return whether motions, (n_q, k), change the shape of a body, against its stiffness."""
+    bodies, fits, size = _fitted(layout, q, motions)
+    both = zip(bodies, fits, strict=True)
+    return any(fit.left > _RIGID * size and not body.stays(motions, size) for body, fit in both)
+
+
+def _fitted(layout: Layout, q: Array, motions: Array) -> tuple[list[_Body], list[_Fit], float]:
+    """Return bodies, rigid motions fitted to them, and the size of the largest motion."""
+    bodies = [_Body.of(beam, layout.d, q) for beam in layout.bodies]
+    fits = [body.fit(motions) for body in bodies]
+    return bodies, fits, max(fit.size for fit in fits)
 
 
 def _simplified(basis: Array) -> Array:
@@ -237,12 +248,19 @@ class _Body:
         x = np.linalg.lstsq(A, right, rcond=_SMALL)[0]
         return _Fit(x, float(np.max(np.abs(right))), float(np.max(np.abs(right - A @ x))))
 
+    def stays(self, motions: Array, size: float) -> bool:
+        """Return whether only slopes move, as of a bent round bar that turns within its shape.
+
+        `size` is the largest entry of the motions.
+        """
+        moved = motions[self.columns].reshape(*self.X.shape, -1)[self.positions] / self.length
+        return bool(np.max(np.abs(moved)) <= _STAYS * size)
+
     def bent_words(self, motions: Array, size: float) -> str:
         """Return a text on how the body deforms in motions whose largest entry is `size`."""
-        moved = motions[self.columns].reshape(*self.X.shape, -1)[self.positions] / self.length
-        if np.max(np.abs(moved)) <= _STAYS * size:
+        if self.stays(motions, size):
             return f"{self.name} turns about its own axis, bent as it is"
-        return f"{self.name} deforms without stiffness"
+        return f"{self.name} deforms"
 
     def words(self, motion: Array) -> str:
         """Return a text on how the body moves, from v/L and omega in one array."""

@@ -33,6 +33,7 @@ from ancfdae.equations.system import States
 from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import listed
+from ancfdae.kernels import norm
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.loads.pair_contact import leaves_out
 from ancfdae.model.scene import Scene
@@ -51,6 +52,9 @@ _STATES = 2000
 # Singular value below which rows of Phi_q of unit length depend on each other, and w^T Phi_b over
 # the length of Phi_b that is not round-off.
 _DEPENDENT, _OPENED = 1e-8, 1e-7
+# Equations that are left out are open if a gap exceeds _OPEN times the size of the mechanism, and
+# _WIDER times the gaps of the other equations, which integrators may leave open.
+_OPEN, _WIDER = 1e-6, 100.0
 
 
 @in_one_thread
@@ -269,6 +273,31 @@ class AncfSystem(PlannedSystem):
                 "fit together, by one DesignVariable with several targets."
             )
             raise InvalidInputError("design", rule, listed(names), repair)
+
+    def opened(self, t: Array, q: Array) -> tuple[int, str] | None:
+        """Return the first state that opens a joint of which equations are left out; a message.
+
+        Equations are measured by the distance to where they hold, |Phi_i|/|Phi_iq|, and distances
+        by the size of the mechanism and by the gaps of the equations that are kept.
+        """
+        whole, q = self._with_all_rows, q.real
+        size = norm(self.centred(q[0]), self.weights)
+        for k, (time, each) in enumerate(zip(t.tolist(), q, strict=True)):
+            gaps, kept = (system.gaps(time, each) for system in (whole, self))
+            widest = int(np.argmax(gaps))
+            if gaps[widest] > max(_OPEN * size, _WIDER * np.max(kept, initial=0.0)):
+                return k, (
+                    f"joint {whole.constraint_names[widest]!r} open by {gaps[widest] / size:.2g} "
+                    "of the size of the mechanism, of which equations are left out"
+                )
+        return None
+
+    def gaps(self, t: float, q: Array) -> Array:
+        """Return the distance to where each equation of the joints holds, shape (n_lam,)."""
+        pattern = self.constraint_pattern
+        squares = self.constraint_q(t, q).real ** 2 / self.weights[pattern.columns]
+        lengths = np.sqrt(np.bincount(pattern.rows, squares, self.n_lam))
+        return np.abs(self.constraint(t, q).real) / np.where(lengths > 0, lengths, 1.0)
 
     @cached_property
     def _with_all_rows(self) -> AncfSystem:

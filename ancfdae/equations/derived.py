@@ -130,6 +130,7 @@ _UNDETERMINED = frozenset(
         "mirrored",
         "off_root",
         "off_route",
+        "opened",
         "over_time",
         "require_derivatives_at",
         "strained",

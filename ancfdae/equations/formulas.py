@@ -182,7 +182,7 @@ class Formulas:
         given: list[Any],
         shape: tuple[int, ...],
     ) -> Array:
-        """Return operations of a value of symbols, of the given shape; a call if it has none.
+        """Return operations of a value, of the given shape, or a call if it cannot be traced.
 
         `why` is the reason if no formula can be traced, else empty.
         """

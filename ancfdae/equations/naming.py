@@ -52,5 +52,9 @@ class Naming(abc.ABC):
         """Return a text on which bodies move, and how, in motions without stiffness, (n_q, k)."""
 
     @abc.abstractmethod
+    def deforms(self, q: Array, motions: Array) -> bool:
+        """Return whether motions without stiffness, (n_q, k), change the shape of a body."""
+
+    @abc.abstractmethod
     def packed(self) -> tuple[dict[str, Array], dict[str, Any]]:
         """Return the arrays and the JSON data of the naming that a solution file stores."""

@@ -8,14 +8,18 @@ form that kernels take.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 import scipy
 
 from ancfdae.equations.plans import CalledPlan, ListPlan, real_part
 from ancfdae.equations.system import MechanicalSystem, planned
-from ancfdae.errors.kinds import RedundantConstraintsError, SingularMatrix
+from ancfdae.errors.kinds import (
+    InvalidInputError,
+    RedundantConstraintsError,
+    SingularMatrix,
+)
 from ancfdae.kernels import ComplexModel, March, Model
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, MatrixLayout, SaddlePoint
@@ -79,6 +83,23 @@ def force_total(
     """Return the total design derivative of Q, shape (n_q, n_b)."""
     rows = (np.concatenate([x[None], x_b.T]) for x, x_b in ((q, q_b), (v, v_b)))
     return system.force_and_total(t, *rows)[1:].T
+
+
+# What to do where joints open of which equations are left out.
+OPENED: Final = (
+    "At this design the other equations do not imply those that are left out. Change together all "
+    "lengths that must fit, or leave nothing out."
+)
+
+
+def refuse_opened(system: MechanicalSystem, t: float, q: Array) -> None:
+    """Raise InvalidInputError if q opens joints of which equations are left out."""
+    if not system.traits.rows_left_out:
+        return
+    opened = system.opened(np.array([t]), q[None])
+    if opened is not None:
+        rule = "joints whose equations are left out must close by the others"
+        raise InvalidInputError("Scene.left_out", rule, opened[1], OPENED)
 
 
 def velocity_side(system: MechanicalSystem, t: float, q: Array) -> Array:

@@ -422,6 +422,14 @@ class MechanicalSystem(ComplexSteps):
         """
         return None
 
+    def opened(self, t: Array, q: Array) -> tuple[int, str] | None:
+        """Return the first of k states that opens a joint with equations left out, and its name.
+
+        q has the shape (k, n_q). It is called if the system has `rows_left_out`. None if all joints
+        are closed, as by default.
+        """
+        return None
+
     def divisors(self, t: Array, q: Array, v: Array) -> dict[str, Array]:
         """Return the divisors in formulas in k states, (k, n) by the name of the formula.
 

@@ -26,6 +26,7 @@ class Verdict(Enum):
     EQUILIBRIUM = "the equilibrium was reached"
     FOLDED = "elements are folded"
     OFF_ROUTE = "a guide is beyond the end of its beam, or a rope off its pulley"
+    OPENED = "a joint opens of which equations are left out"
     POLE = "the next step passes over a pole of the equations"
     INDEFINITE = "the mass matrix ceases to be positive definite"
     MISSED_CONTACT = "the steps do not resolve a contact"
@@ -61,7 +62,7 @@ class RunOutcome:
     load : float or None
         Load factor that a search for an equilibrium reached, dimensionless; None for a motion.
     advice : str
-        Hint at a remedy, as text; may be empty.
+        Hint at a remedy, as text; of an equilibrium why it is unstable. May be empty.
     """
 
     verdict: Verdict
@@ -80,7 +81,8 @@ class RunOutcome:
         moving = self.load is None
         if self.success:
             when = f"t = {self.time:.6g}, " if moving else ""
-            return f"{self.verdict.value} ({when}{self.step} steps)."
+            text = f"{self.verdict.value} ({when}{self.step} steps)"
+            return f"{text}; {self.advice}." if self.advice else f"{text}."
         where = f"t = {self.time:.6g}" if moving else f"{100 * (self.load or 0):.6g} % of the load"
         text = (
             f"{self.verdict.value} at {where}, after {self.step} accepted steps, with "

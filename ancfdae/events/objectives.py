@@ -11,6 +11,7 @@ observables that depend on time explicitly.
 from __future__ import annotations
 
 import functools
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -19,7 +20,7 @@ from typing import Any, NamedTuple, cast, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.errors.kinds import InvalidInputError, UnlikelyValueWarning
 from ancfdae.events.functions import in_time
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.time_grid import TimeGrid
@@ -174,7 +175,11 @@ class FollowedObjective:
         self._pasts.append(later)
 
     def value(self) -> complex:
-        """Return the objective's value over all phases; complex if states or times are complex."""
+        """Return the objective's value over all phases; complex if states or times are complex.
+
+        Warns of values at the time of an event.
+        """
+        self._warn_of_events()
         nodes = evaluated(self._objective, lambda leaf: np.asarray(self._reduced(leaf).value()))
         value = list(nodes.values())[-1]
         if not np.isfinite(value):
@@ -208,6 +213,22 @@ class FollowedObjective:
             found = PhasePartials(p.q, p.v, p.lam, b, float(start), float(duration))
             total.append(found.times(weight))
         return functools.reduce(PhasePartials.plus, total)
+
+    def _warn_of_events(self) -> None:
+        """Warn of times of `AtTimes` at which an event ends a phase that another one follows."""
+        ends = np.array([phase.t[-1] for phase in self._times])
+        for leaf in self._values:
+            if not isinstance(leaf, AtTimes):
+                continue
+            away = np.abs(np.subtract.outer(leaf.instants(ends[-1]), ends[:-1]))
+            for time in ends[:-1][np.any(away <= SAME * ends[-1], axis=0)]:
+                warnings.warn(
+                    f"AtTimes: an event happens at the time {time:.9g} s: the value is that before "
+                    "the event, and value or derivative may jump there. Take a time beside it; "
+                    "`observe` gives both values.",
+                    UnlikelyValueWarning,
+                    stacklevel=2,
+                )
 
     def _reduced(self, leaf: object) -> _Reduced:
         own = cast(Reduction, leaf)

@@ -462,6 +462,10 @@ class PhaseSystem(LaterSystem):
         """Return the first of k states in which a constraint holds at a wrong root."""
         return self.base.off_root(self._times(t), q)
 
+    def opened(self, t: Array, q: Array) -> tuple[int, str] | None:
+        """Return the first of k states that opens an equation left out."""
+        return self.base.opened(self._times(t), q)
+
     def mirrored(self, q: Array) -> tuple[int, str] | None:
         """Return the first of k states in which a part is mirrored or folded."""
         return self.base.mirrored(q)

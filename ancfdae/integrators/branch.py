@@ -45,8 +45,12 @@ CHANGED = 0.5
 # the second is below its square) and later corrections shrink at least as fast. A rejected part is
 # shortened, down to _SHORTEST times the remaining time.
 _CURVED, _SHORTEST, _ITERATIONS = 0.1, 1e-9, 8
-# Corrections below SMALL times the norm of the coordinates are round-off.
-SMALL = 1e-11
+# Most parts, accepted or not, in which one call follows a step: next to a dead point parts of the
+# size of round-off would go on without an end.
+_PARTS = 2000
+# Corrections below _SMALL times the size of the system, plus _LAST units in the last place of its
+# coordinates, are round-off.
+_SMALL, _LAST = 1e-11, 8 * float(np.finfo(float).eps)
 # Two configurations differ if their distance exceeds APART times the distance that a step moves.
 APART = 1e-3
 # A motion is extrapolated across a place without rank from configurations at times _NODES before it
@@ -75,19 +79,32 @@ class Form:
 
     Coordinates are scaled as sqrt(w_i) q_i; rows of Phi_q have length one in these coordinates at
     the first state of the motion. `taken` is a mask, (n_lam,), of the constraints that are
-    examined; `used` are the indices of the coordinates that occur in them.
+    examined; `used` are the indices of the coordinates that occur in them. `magnified` is whether
+    changes count as round-off that last places of coordinates make next to a place without rank.
     """
 
-    def __init__(self, system: MechanicalSystem, values: Array, taken: Array | None = None) -> None:
-        self.system, pattern = system, system.constraint_pattern
-        self.taken = np.ones(system.n_lam, dtype=bool) if taken is None else taken
-        self._entries = np.flatnonzero(self.taken[pattern.rows])
+    def __init__(
+        self,
+        system: MechanicalSystem,
+        values: Array,
+        taken: Array | None = None,
+        magnified: bool = False,
+    ) -> None:
+        self.system, self.magnified, pattern = system, magnified, system.constraint_pattern
+        self.taken: Array | slice = slice(None)
+        self._entries: Array | slice = slice(None)
         if taken is None:
-            self.used, self.columns = pattern.used
+            (self.used, self.columns), self.rows, n_lam = (
+                pattern.used,
+                pattern.rows.astype(int),
+                system.n_lam,
+            )
         else:
+            self.taken, self._entries = taken, np.flatnonzero(taken[pattern.rows])
             self.used, self.columns = np.unique(pattern.columns[self._entries], return_inverse=True)
-        self.rows = (np.cumsum(self.taken) - 1)[pattern.rows[self._entries]]
-        self.shape = int(np.sum(self.taken)), len(self.used)
+            self.rows = (np.cumsum(taken) - 1)[pattern.rows[self._entries]]
+            n_lam = int(np.sum(taken))
+        self.shape = n_lam, len(self.used)
         self.root = np.sqrt(system.weights[self.used])
         scaled = values[self._entries] / self.root[self.columns]
         squares = np.bincount(self.rows, scaled * scaled, minlength=self.shape[0])
@@ -221,17 +238,19 @@ def followed(
     end: float,
     guide: Aim | None = None,
     taken: Array | None = None,
+    magnified: bool = False,
 ) -> tuple[float, Array]:
     """Follow a motion on its branch from (t, q) to `end`; return the time reached, and q there.
 
     Where Phi_q loses rank on the way, the motion goes on along the branch on which its velocities
     are continuous; without such a branch the time is less than `end`. `guide` gives the
     aim of the motion where constraints leave motions free; `taken` is a mask, (n_lam,), of the
-    constraints that are followed, by default all.
+    constraints that are followed, by default all; `magnified` as in `Form`.
     """
+    how = guide, taken, magnified
     for _ in range(_CROSSINGS):
-        lost = to_singular(system, t, q, end, guide, taken)
-        beyond = None if lost[0] == end else _across(system, (t, q), lost, end, guide, taken)
+        lost = to_singular(system, t, q, end, *how)
+        beyond = None if lost[0] == end else _across(system, (t, q), lost, end, *how)
         if beyond is None:
             return lost
         t, q = beyond
@@ -245,6 +264,7 @@ def _across(
     end: float,
     guide: Aim | None,
     taken: Array | None,
+    magnified: bool,
 ) -> tuple[float, Array] | None:
     """Return time and configuration beyond a place where Phi_q loses rank, or None.
 
@@ -259,12 +279,12 @@ def _across(
         before, rows = t_1 - reach * _NODES, list[Array]()
         for time in before.tolist():
             if time > t:
-                t, q = to_singular(system, t, q, time, guide, taken)
+                t, q = to_singular(system, t, q, time, guide, taken, magnified)
             rows.append(q)
         if t < before[-1] or t == t_0:
             return None
         extrapolated = scipy.interpolate.KroghInterpolator(before, np.array(rows))
-        form = Form(system, system.constraint_q(t, q), taken)
+        form = Form(system, system.constraint_q(t, q), taken, magnified)
         for factor in _BEYOND:
             beyond = min(end, t_1 + factor * reach)
             guess = extrapolated(beyond)
@@ -282,13 +302,16 @@ def to_singular(
     end: float,
     guide: Aim | None = None,
     taken: Array | None = None,
+    magnified: bool = False,
 ) -> tuple[float, Array]:
     """Follow a motion as `followed` does, but only up to where Phi_q loses rank."""
     h, least = end - t, _SHORTEST * (end - t)
     values = system.constraint_q(t, q)
-    form = Form(system, values, taken)
+    form = Form(system, values, taken, magnified)
     place = Place(form, values)
-    while t < end:
+    for _ in range(_PARTS):
+        if t == end:
+            break
         h = min(h, end - t)
         later = end if h == end - t else t + h
         aim = np.zeros(system.n_q) if guide is None else guide(later) - q
@@ -300,6 +323,8 @@ def to_singular(
             return t, q
         else:
             h /= 4
+    else:
+        return t, q
     return t, q if guide is None else _settled(form, place, t, q, guide(t))
 
 
@@ -315,7 +340,7 @@ def _settled(form: Form, place: Place, t: float, q: Array, aim: Array) -> Array:
         (new, place), before = moved, q
         q, share = new, min(1.0, 2 * share)
         ahead = place.nearest(none, aim - q)
-        least = 10 * SMALL * norm(q, system.weights)
+        least = 10 * small(system, q)
         if ahead is None or norm(ahead, system.weights) <= max(
             least, APART**2 * norm(q - before, system.weights)
         ):
@@ -343,17 +368,25 @@ def _part(
     return (solved, Place(form, values)) if on else None
 
 
-def closed(system: MechanicalSystem, t: float, q: Array, taken: Array | None) -> Array | None:
+def closed(
+    system: MechanicalSystem, t: float, q: Array, taken: Array | None, magnified: bool = False
+) -> Array | None:
     """Return q with the constraints `taken` closed to round-off; None if Newton's method fails."""
-    form = Form(system, system.constraint_q(t, q), taken)
-    return _solved(form, t, q, APART * norm(q, system.weights))
+    form = Form(system, system.constraint_q(t, q), taken, magnified)
+    return _solved(form, t, q, APART * norm(system.centred(q), system.weights))
+
+
+def small(system: MechanicalSystem, q: Array) -> float:
+    """Return the norm below which a change of the coordinates q is round-off, wherever they are."""
+    w = system.weights
+    return _SMALL * norm(system.centred(q), w) + _LAST * norm(q, w)
 
 
 def _solved(form: Form, t: float, q: Array, allowed: float) -> Array | None:
     """Return q with its constraints closed; None unless corrections fall from `allowed` on."""
     system, none = form.system, np.zeros(form.system.n_q)
     w = system.weights
-    least = SMALL * norm(q, w)
+    least = _SMALL * norm(q, w) if form.magnified else small(system, q)
     for _ in range(_ITERATIONS):
         change = Place(form, system.constraint_q(t, q)).nearest(system.constraint(t, q), none)
         size = np.inf if change is None else norm(change, w)

@@ -75,9 +75,7 @@ class Points:
     def errors(self, x: Array) -> Array:
         """Return estimated errors, (n,), of the integrals over time of the columns of x, (k, n)."""
         panels = x.reshape(len(self.h), -1, x.shape[1])
-        fine, coarse = (
-            np.abs(np.einsum("p,kpn->kn", e, panels)) for e in (self.rule.error, self.rule.coarse)
-        )
+        fine, coarse = np.abs(np.stack([self.rule.error, self.rule.coarse]) @ panels).swapaxes(0, 1)
         size = np.hypot(fine, _COARSE * coarse)
         share = np.divide(fine, size, out=np.zeros_like(size), where=size != 0)
         total: Array = self.h @ (fine * share)

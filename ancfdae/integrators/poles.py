@@ -34,6 +34,8 @@ _PARTS, _DIVISIONS = 128, 6
 
 def passed_pole(system: MechanicalSystem, rows: Rows) -> tuple[int, str] | None:
     """Return the first step between `rows` that passes over a pole, and a message; or None."""
+    if len(rows.t) < 2:
+        return None
     rows, found = Rows(rows.t, rows.q.real, rows.v.real), list[tuple[int, str]]()
     at_ends, within = (system.divisors(*x) for x in (rows, _middles(rows)))
     for owner, x in at_ends.items():

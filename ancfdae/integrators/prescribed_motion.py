@@ -21,15 +21,16 @@ import numpy as np
 import scipy
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.saddle_points import OPENED
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.branch import (
     APART,
     CHANGED,
-    SMALL,
     Form,
     Place,
     closed,
     followed,
+    small,
     to_singular,
 )
 from ancfdae.integrators.poles import passed_pole
@@ -47,6 +48,10 @@ _PLACES = np.linspace(0.0, 1.0, 5)
 _VELOCITIES = 0.1
 # States that are checked in one batch: one by one the checks would cost a quarter of a small step.
 _TOGETHER = 64
+_TURNS = (
+    " A law that turns back just before this position does not lock: round-off hides the way "
+    "there, and shorter steps may pass."
+)
 _LIGHTER = (
     "At the end of the next step, t = {:.6g}, it is negative in a direction that the constraints "
     "permit. The motion ends before that, because accelerations are infinite where it is singular. "
@@ -184,6 +189,11 @@ class Watch:
         over = passed_pole(self._system, rows) if self._system.divides else None
         if over is not None:
             return Lost(over[0], Verdict.POLE, over[1])
+        if self._system.traits.rows_left_out:
+            opened = self._system.opened(rows.t[1:], rows.q[1:])
+            if opened is not None:
+                words = f"At the end of the next step stands {opened[1]}. {OPENED}"
+                return Lost(opened[0], Verdict.OPENED, words)
         lighter = None if self._inert else lost_mass(self._system, rows)
         if lighter is not None:
             return lighter
@@ -322,8 +332,19 @@ def is_driven(system: MechanicalSystem, t: Array, q: Array) -> bool:
 def _reached_otherwise(system: MechanicalSystem, step: Rows, taken: Array, known: Array) -> str:
     """Follow a step on its branch; return a message if the step ended elsewhere, else "".
 
-    The constraints in the mask `taken` determine the coordinates in the mask `known`.
+    The constraints in the mask `taken` determine the coordinates in the mask `known`. Far from the
+    origin last places of coordinates hide the way near a dead point, unless they may be magnified;
+    if they may, they hide which branch is which where branches cross. One way that leads to the end
+    of the step is enough.
     """
+    why = _not_led_to(system, step, taken, known, True)
+    return why and _not_led_to(system, step, taken, known, False) and why
+
+
+def _not_led_to(
+    system: MechanicalSystem, step: Rows, taken: Array, known: Array, magnified: bool
+) -> str:
+    """Return a message as `_reached_otherwise`, with round-off `magnified` as in `Form` or not."""
     begin, end = step.t.tolist()
     several = (
         f"At t = {end:.6g} the joints close in more than one way, and the step of "
@@ -335,16 +356,19 @@ def _reached_otherwise(system: MechanicalSystem, step: Rows, taken: Array, known
         if prescribed and not np.any(known):
             continue
         # IDA leaves constraints open by its tolerance.
-        q, found = (closed(system, t, x, rows) for t, x in zip((begin, end), step.q, strict=True))
+        q, found = (
+            closed(system, t, x, rows, magnified) for t, x in zip((begin, end), step.q, strict=True)
+        )
         if q is None or found is None:
             return several if prescribed else ""
         guide = None if prescribed else Rows(step.t, np.stack([q, found]), step.v).cubic
-        reached, place = followed(system, begin, q, end, guide, rows)
+        reached, place = followed(system, begin, q, end, guide, rows, magnified)
         if reached < end:
             # A motion with free directions may pass singular positions, where branches meet.
             passed = f"{locks(reached)} The step to t = {end:.6g} passed over it."
-            return passed if prescribed else ""
-        w, least = system.weights[columns], 10 * SMALL * norm(q, system.weights)
+            back = float(system.weights @ (step.v[0] * step.v[1])) < 0
+            return passed + back * _TURNS if prescribed else ""
+        w, least = system.weights[columns], 10 * small(system, q)
         if norm((place - found)[columns], w) > max(APART * norm((found - q)[columns], w), least):
             return several
         if np.all(known):
@@ -360,6 +384,13 @@ def _turned(system: MechanicalSystem, rows: Rows, known: Array) -> Array:
     return np.asarray(changes > _VELOCITIES * (sizes[1:] + sizes[:-1]))
 
 
+_MISSING = (
+    "Equations of joints are left out (Scene.left_out): those that stay may depend on each other "
+    "near this position, where the mechanism itself is regular. Declare one of these joints as a "
+    "stiff Bushing instead."
+)
+
+
 def locks(t: float) -> str:
     """Return the sentence that the joints lock at time t, s."""
     return (
@@ -369,14 +400,18 @@ def locks(t: float) -> str:
 
 
 def lock(system: MechanicalSystem, t: float, q: Array, end: float) -> str:
-    """Return a message if the joints lock right after time t, s; empty if they do not."""
+    """Return a message if the joints lock right after time t, s, or may lack equations there.
+
+    It is empty if they do not.
+    """
+    missing = _MISSING if system.traits.rows_left_out else ""
     if np.iscomplexobj(q) or not end > t:
-        return ""
+        return missing
     taken, known = system.constraint_pattern.determined
     if not np.any(known):
-        return ""
+        return missing
     reached, _ = followed(system, t, q, end, taken=taken)
-    return locks(reached) if reached < end else ""
+    return locks(reached) if reached < end else missing
 
 
 def turn_error(system: MechanicalSystem, t: float, h: float, order: int) -> float:

@@ -27,6 +27,7 @@ from ancfdae.equations.saddle_points import (
     held_q,
     held_total,
     held_totals,
+    refuse_opened,
     refuse_redundant,
     solve,
     solve_transposed,
@@ -94,6 +95,7 @@ def consistent_start(
         moved = norm(q - declared, system.weights) > _CLOSED * norm(declared, system.weights)
         if moved and not system.traits.linear_constraints:
             refuse_redundant(system, matrices, system.constraint_q(t, q))
+        refuse_opened(system, t, q)
         if factors is None:
             factors = _factor_mass(system, matrices, q, t)
         side = velocity_side(system, t, q)

@@ -46,6 +46,8 @@ EXACT = 1e-14
 
 # How often the reach of contact loads is doubled until a pair is found.
 _DOUBLINGS = 64
+# A list of neighbours that serves fewer steps than this is followed by one of a longer reach.
+_SERVED = 4
 
 
 class SteppedIntegrator(AdjointIntegrator):
@@ -210,7 +212,8 @@ class SteppedIntegrator(AdjointIntegrator):
             after = after if len(after.t) > 1 else None
 
         def run(sizes_b: Array) -> Solution:
-            near, before, q, begun = problem, after, np.zeros((0, system.n_q)), 0
+            near, before, q, begun, wider = problem, after, np.zeros((0, system.n_q)), 0, 1.0
+            short = 0
             while True:
                 done, tried = self._marched(near, t_end, sizes_b, before, progress)
                 if done.outcome.verdict is not Verdict.LEFT_OUT:
@@ -218,8 +221,11 @@ class SteppedIntegrator(AdjointIntegrator):
                 # The run goes on with the pair that comes close, which may be far before its step,
                 # or with the pairs along all steps that were tried from here.
                 known, here = near.system, q if begun == len(done.t) else done.q[-1:]
+                # A reach that is short beside the path of a step grows, faster with each list.
+                short = short + 1 if len(done.t) - begun < _SERVED * self.degree else 0
+                wider *= 2.0**short
                 q, begun = here if tried is None else np.concatenate([here, tried]), len(done.t)
-                others = (known.along(q, 2.0**k) for k in range(_DOUBLINGS))
+                others = (known.along(q, wider * 2.0**k) for k in range(_DOUBLINGS))
                 renewed = next((other for other in others if other is not known), known)
                 if renewed is known:
                     break

@@ -3,15 +3,13 @@
 /* ---- accelerations from lists --------------------------------------------------------------- */
 
 /* Lists of a system with design and scale, and room for their work. */
-struct ListAccelerations final : ListFormulas {
-    static constexpr const char *NAME = "ListAccelerations",
-                                *MISSING = "accelerations must be those of lists or functions";
+struct ListAccelerations final : ListFormulas, OfReals {
+    static constexpr const char *NAME = "ListAccelerations";
     using Arguments =
         std::tuple<std::vector<Kept<OperationList>>, Array<double, 1>, Array<double, 1>>;
     Arguments of;
     std::unique_ptr<double[]> memory;
     std::unique_ptr<int[]> rows_exchanged;
-    static constexpr bool in_complex = false;
 
     explicit ListAccelerations(Arguments arguments) : of(std::move(arguments))
     {
@@ -69,9 +67,8 @@ struct CalledFactors final : SceneLaws {
 
 /* A model with what its design variables change, None without any, and laws: a function of times, or
  * its result for all times. */
-struct SceneAccelerations {
-    static constexpr const char *NAME = "SceneAccelerations",
-                                *MISSING = "accelerations must be those of a scene";
+struct SceneAccelerations : OfReals {
+    static constexpr const char *NAME = "SceneAccelerations";
     using Arguments = std::tuple<Kept<Model>, Ref, Ref>;
     Kept<Model> model;
     std::vector<Items> kept;
@@ -79,7 +76,6 @@ struct SceneAccelerations {
     std::vector<Kept<LoadPlan>> moved;
     std::optional<CalledFactors> laws;
     std::optional<SceneFormulas> formulas;
-    static constexpr bool in_complex = false;
 
     explicit SceneAccelerations(Arguments arguments) : model(std::move(std::get<0>(arguments)))
     {
@@ -157,7 +153,6 @@ Ref py_accelerations(Kept<A> of, bool projected, Array<double, 1> t, Array<doubl
     return accelerations_at(index_1_of(*of), projected, t, states);
 }
 
-/* How many matrices have been factorised since the last call. */
 template <class A> Size py_factorisations(Kept<A> of)
 {
     return std::exchange(index_1_of(*of)->factorisations, 0);
@@ -200,15 +195,14 @@ struct CalledAccelerations final : Accelerations {
 /* ---- steps of DOP853 (explicit.h) ----------------------------------------------------------- */
 
 /* A run from a state: its equations, tables of the method, and arrays that its steps write to. */
-struct ExplicitRun : ExplicitSteps {
-    static constexpr const char *NAME = "ExplicitRun", *MISSING = "there must be a run";
+struct ExplicitRun : ExplicitSteps, OfReals {
+    static constexpr const char *NAME = "ExplicitRun";
     using Arguments = std::tuple<Ref, Ref, Ref>;
     std::optional<Kept<ListAccelerations>> lists;
     std::optional<Kept<SceneAccelerations>> scene;
     std::optional<CalledAccelerations> functions;
     std::vector<Items> kept;
     std::unique_ptr<double[]> memory;
-    static constexpr bool in_complex = false;
 
     explicit ExplicitRun(Arguments arguments) : ExplicitSteps()
     {
@@ -238,7 +232,6 @@ struct ExplicitRun : ExplicitSteps {
     }
 };
 
-/* Why the march ends, the number of steps, and states at the times that lie behind. */
 std::tuple<int, Size, Array<double>> py_explicit(Kept<ExplicitRun> run, Fields<4> tolerances,
                                                  Array<double, 1> times, double stop, Size count,
                                                  Fields<4> kept)
@@ -270,7 +263,6 @@ std::tuple<int, Size, Array<double>> py_explicit(Kept<ExplicitRun> run, Fields<4
     return {trouble, taken, std::move(out)};
 }
 
-/* Terms of the dense output of the last step, or what prevents it. */
 Ref py_terms(Kept<ExplicitRun> s)
 {
     int trouble = explicit_terms(&*s);

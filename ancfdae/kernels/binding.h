@@ -240,6 +240,11 @@ template <class V> struct Object : Holder {
     static inline PyTypeObject *type;
 };
 
+/* What holds no complex numbers. */
+struct OfReals {
+    static constexpr bool in_complex = false;
+};
+
 /* The types whose objects may hold complex numbers: `V::in_complex` is not constant. */
 std::vector<PyTypeObject *> TYPES;
 
@@ -251,7 +256,10 @@ template <class V> class Kept
   public:
     explicit Kept(PyObject *object)
     {
-        must(PyObject_TypeCheck(object, Object<V>::type), V::MISSING);
+        if (!PyObject_TypeCheck(object, Object<V>::type)) {
+            PyErr_Format(PyExc_ValueError, "an argument must be of the type %s", V::NAME);
+            throw Failed();
+        }
         held = Ref(Py_NewRef(object));
     }
     V *operator->() const { return ((Object<V> *)held.get())->value; }

@@ -2,7 +2,7 @@
 
 /* The law of all n elements, or one for all, and their node vectors, among n_q numbers. */
 struct Elements {
-    static constexpr const char *NAME = "Block", *MISSING = "elements must be a block of theirs";
+    static constexpr const char *NAME = "Block";
     using Arguments = std::tuple<Numbers, Numbers, std::optional<Numbers>, std::optional<Numbers>,
                                  Array<int64_t, 2>, Size, Size>;
     Arguments of;

@@ -30,14 +30,12 @@ void list_called(const Operations *p, Size k, Size lanes, int parts, void *numbe
                 x[parts * to[j] * lanes + i] = NAN;
 }
 
-struct OperationList {
-    static constexpr const char *NAME = "OperationList",
-                                *MISSING = "plans of lists must have lists of operations";
+struct OperationList : OfReals {
+    static constexpr const char *NAME = "OperationList";
     using Arguments =
         std::tuple<Size, Numbers, Indices, Indices, Indices, Indices, Indices, std::vector<Ref>>;
     Arguments of;
     Operations list;
-    static constexpr bool in_complex = false;
 
     explicit OperationList(Arguments arguments) : of(std::move(arguments))
     {
@@ -78,11 +76,9 @@ template <class T> Array<T> py_values(Kept<OperationList> of, Rest<Array<T, 1>> 
 
 /* ---- lists in the making (trace.h) ---------------------------------------------------------- */
 
-struct OperationTrace : Trace {
-    static constexpr const char *NAME = "OperationTrace",
-                                *MISSING = "the first argument must be a list in the making";
+struct OperationTrace : Trace, OfReals {
+    static constexpr const char *NAME = "OperationTrace";
     using Arguments = std::tuple<Size>;
-    static constexpr bool in_complex = false;
 
     explicit OperationTrace(Arguments arguments) : Trace(std::get<0>(arguments))
     {

@@ -620,7 +620,7 @@ int iterated(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Befo
     double motion = motion_before > DBL_MIN ? rules->jump * motion_before : INFINITY;
     int fresh = 1, settled = 0, lag = tolerance == rules->tolerance ? LAG<T> : 0;
     ending->size = INFINITY, ending->slowest = 0;
-    for (Size i = 0; i < how->iterations + lag; i++) {
+    for (Size i = 0; (double)i < how->iterations + lag; i++) {
         r->counts[0]++;
         if (!(i ? residual_at<T>(p, r, c, b, of_joints, of_loads, small) : finite))
             return RESIDUAL_NOT_FINITE;

@@ -130,12 +130,11 @@ template <class T> Gbtrs<T> gbtrs_of()
 }
 
 /* The band of n unknowns in an order: places of all values, which numbers multiply. */
-struct Band {
-    static constexpr const char *NAME = "Band", *MISSING = "there must be a band";
+struct Band : OfReals {
+    static constexpr const char *NAME = "Band";
     using Arguments = std::tuple<Size, Longs, Array<double, 1>, Longs>;
     Arguments of;
     Size half, n, width;
-    static constexpr bool in_complex = false;
 
     explicit Band(Arguments arguments) : of(std::move(arguments))
     {
@@ -150,7 +149,6 @@ struct Band {
     const Longs &order() const { return std::get<3>(of); }
 };
 
-/* The factors, (n, 3 half + 1), pivots, what B is scaled by, and info. */
 template <class T>
 std::tuple<Array<T>, Array<int32_t>, double, int> py_band_factor(Kept<Band> band, Array<T> K,
                                                                  Array<T> B)
@@ -218,15 +216,14 @@ struct LowerPlaces {
 };
 
 /* Where columns of an envelope begin (symmetric.h), its places, signs of pivots, and the order. */
-struct Envelope {
-    static constexpr const char *NAME = "Envelope", *MISSING = "there must be an envelope";
+struct Envelope : OfReals {
+    static constexpr const char *NAME = "Envelope";
     using Arguments = std::tuple<Indices, Indices, Indices, Array<double, 1>, Longs>;
     Indices first;
     LowerPlaces lower;
     Array<double, 1> signs;
     Longs order;
     Size n, size;
-    static constexpr bool in_complex = false;
 
     static Size size_of(const Indices &first)
     {
@@ -283,14 +280,13 @@ py_eliminate(Longs first, Indices columns)
     return {{x.order, x.begin, x.row_at, x.rows, x.factor_at, x.children, x.stack, x.most}, x.work};
 }
 
-struct FrontPlan {
-    static constexpr const char *NAME = "FrontPlan", *MISSING = "there must be fronts";
+struct FrontPlan : OfReals {
+    static constexpr const char *NAME = "FrontPlan";
     using Arguments = std::tuple<Indices, Longs, Indices, Longs, Indices, Size, Size, Longs, Indices,
                                  Array<double, 1>, Longs, Indices, Indices>;
     Arguments of;
     Fronts fronts;
     std::optional<LowerPlaces> lower;
-    static constexpr bool in_complex = false;
 
     explicit FrontPlan(Arguments arguments) : of(std::move(arguments))
     {
@@ -346,8 +342,6 @@ std::tuple<Size, double> py_fronts_signs(Kept<FrontPlan> of, Terms<double> terms
     return {excess, fronts_growth(&x, scale.data, factors.data, sums.get())};
 }
 
-/* Solutions, and the largest relative residual; right sides are the last axis. Residuals up to
- * `enough`, or a few units of round-off, are not refined. */
 template <class R>
 std::tuple<Array<R>, double> py_fronts_solve(Kept<FrontPlan> of, Fields<3> factored,
                                              Array<R, 1> right, double enough)

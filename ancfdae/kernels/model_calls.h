@@ -238,12 +238,11 @@ template <class T> struct Planned {
 };
 
 /* A system at real numbers, with its matrices. */
-struct Model : Planned<double> {
-    static constexpr const char *NAME = "Model", *MISSING = "the first argument must be a model";
+struct Model : Planned<double>, OfReals {
+    static constexpr const char *NAME = "Model";
     using Arguments = std::tuple<Ref, Fields<5>, Array<double>, Ref>;
     Items layout;
     std::optional<CalledSolver> solver;
-    static constexpr bool in_complex = false;
 
     explicit Model(Arguments arguments)
         : Planned<double>(std::get<0>(arguments), std::get<2>(arguments)),
@@ -297,12 +296,10 @@ struct Model : Planned<double> {
 };
 
 /* A system at complex numbers, with a model of their real parts. */
-struct ComplexModel : Planned<Complex> {
-    static constexpr const char *NAME = "ComplexModel",
-                                *MISSING = "the first argument must be a complex model";
+struct ComplexModel : Planned<Complex>, OfReals { /* `Either` is not asked. */
+    static constexpr const char *NAME = "ComplexModel";
     using Arguments = std::tuple<Ref, Kept<Model>, Array<double>>;
     Kept<Model> model;
-    static constexpr bool in_complex = false; /* `Either` is not asked. */
 
     explicit ComplexModel(Arguments arguments)
         : Planned<Complex>(std::get<0>(arguments), std::get<2>(arguments)),
@@ -321,8 +318,6 @@ struct ComplexModel : Planned<Complex> {
 
 using Counts = std::tuple<Size, Size, Size>;
 
-/* As many steps as can be taken; returns their number, why it ends, the size of the motion, a,
- * counts, and the size and the slowest rate of the last corrections. */
 template <class T, class M>
 std::tuple<Size, int, double, Array<T>, Counts, double, double>
 py_march(Kept<M> model, Fields<5> state, double motion, Array<double> h, Array<T, 3> of_joints,
@@ -442,8 +437,6 @@ std::function<bool(double, double, double *)> errors_of(const Ref &function)
     };
 }
 
-/* Returns the number of steps, why it ends, how many were rejected, counts, and the size of the last
- * correction. `at` holds n, t, and the size of the step that led there. */
 template <class T, class M>
 std::tuple<Size, int, Size, Counts, double>
 py_march_controlled(Kept<M> model, Fields<5> state, std::tuple<Size, double, double> at,
@@ -504,7 +497,6 @@ ComputedSteps steps_of(Items &x, const Plan<double> &p, Size n_b)
     return s;
 }
 
-/* How many steps from step `first` on are differentiated, and why it ends. */
 std::tuple<Size, int> py_differentiate_steps(Kept<Model> model, Fields<9> steps,
                                              InPlace<double> right, InPlace<double> z,
                                              InPlace<double> states, InPlace<double> lam_b,
@@ -526,7 +518,6 @@ std::tuple<Size, int> py_differentiate_steps(Kept<Model> model, Fields<9> steps,
     return {taken, ends};
 }
 
-/* How many of the first `count` steps are left, from the last one back, and why it ends. */
 std::tuple<Size, int> py_pull_back_steps(Kept<Model> model, Fields<9> steps, Fields<3> seeds,
                                          Fields<4> covectors, Size count)
 {
@@ -548,9 +539,6 @@ std::tuple<Size, int> py_pull_back_steps(Kept<Model> model, Fields<9> steps, Fie
 
 /* ---- equilibria ----------------------------------------------------------------------------- */
 
-/* Newton's method from a state (q, lam, q_s, lam_s), written in place, with (q_0, anchor or None,
- * r_0, Phi_0): why it ends, iterations, the size of the last correction, and whether K is known to
- * be positive definite there. */
 template <class T, class M>
 std::tuple<int, int, double, int> py_rest(Kept<M> model, Fields<4> state, Fields<4> known,
                                           Fields<3> factors, Array<double> rules)
@@ -573,12 +561,11 @@ std::tuple<int, int, double, int> py_rest(Kept<M> model, Fields<4> state, Fields
 /* ---- stages --------------------------------------------------------------------------------- */
 
 /* The coupled matrix of stages: order and scale of unknowns, places of blocks, a band or a function. */
-struct CoupledMatrix {
-    static constexpr const char *NAME = "CoupledMatrix", *MISSING = "there must be a coupled matrix";
+struct CoupledMatrix : OfReals {
+    static constexpr const char *NAME = "CoupledMatrix";
     using Arguments =
         std::tuple<Longs, Array<double, 1>, Longs, std::optional<Kept<Band>>, Ref>;
     Arguments of;
-    static constexpr bool in_complex = false;
 
     explicit CoupledMatrix(Arguments arguments) : of(std::move(arguments))
     {
@@ -620,8 +607,6 @@ struct Coupled {
     }
 };
 
-/* Returns the number of steps, why it ends, how many were rejected and continued, counts, size of the last
- * correction, and the last e. */
 template <class T, class M>
 std::tuple<Size, int, Size, Size, Counts, double, double>
 py_march_stages(Kept<M> model, Kept<CoupledMatrix> coupled, Fields<4> before,
@@ -670,8 +655,6 @@ py_march_stages(Kept<M> model, Kept<CoupledMatrix> coupled, Fields<4> before,
             s->size, c.error};
 }
 
-/* dq and dv by the embedded formula for rows of derivatives, from (q, v, a, lam) and factors of the middle
- * stage: why it ends. Rows are v_b at the start and the stages, a_b at the start, and x_b. */
 int py_embedded_errors(Kept<Model> model, double h, Fields<4> state, Fields<2> factors, Fields<3> rows,
                        InPlace<double> errors, Array<double, 1> numbers)
 {
@@ -709,8 +692,6 @@ int py_embedded_errors(Kept<Model> model, double h, Fields<4> state, Fields<2> f
 
 /* ---- passes over stages --------------------------------------------------------------------- */
 
-/* How many of k stages are found, with those before `first`, and why it ends; (a, lam) and
- * (v - V, sigma) go to rows of `found`. */
 std::tuple<Size, int> py_find_stages(Kept<Model> model, Fields<2> factors, Fields<3> states,
                                      InPlace<double> found, Size first)
 {
@@ -760,7 +741,6 @@ struct PassOverStages {
     }
 };
 
-/* How many steps are differentiated, with those before `first`, and why it ends. */
 std::tuple<Size, int> py_differentiate_stages(Kept<Model> model, Kept<CoupledMatrix> coupled,
                                               Fields<10> steps, Fields<3> known,
                                               InPlace<double> states, InPlace<double> lam_b,
@@ -785,7 +765,6 @@ std::tuple<Size, int> py_differentiate_stages(Kept<Model> model, Kept<CoupledMat
     return {first, ends};
 }
 
-/* How many of the first `count` steps are left, from the last one back, and why it ends. */
 std::tuple<Size, int> py_pull_back_stages(Kept<Model> model, Kept<CoupledMatrix> coupled, Fields<10> steps,
                                           Fields<3> seeds, InPlace<double> on, Fields<3> covectors,
                                           Size count)

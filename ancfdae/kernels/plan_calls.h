@@ -2,8 +2,7 @@
 
 /* Indices and numbers in the order of `ConstraintTable` and `ConstraintNumbers`. */
 struct ConstraintPlan {
-    static constexpr const char *NAME = "ConstraintPlan",
-                                *MISSING = "constraints must be a plan of theirs";
+    static constexpr const char *NAME = "ConstraintPlan";
     using Arguments =
         std::tuple<std::vector<Indices>, std::tuple<Numbers, Numbers, Numbers>, Size, Size, Size,
                    Size, std::vector<Kept<OperationList>>>;
@@ -210,8 +209,7 @@ Array<double> py_totals(Kept<ConstraintPlan> plan, Fields<6> entries, Array<doub
 /* Indices in the order of `LoadTable`, and numbers: entries of L, constants, and own numbers of
  * copies. */
 struct LoadPlan {
-    static constexpr const char *NAME = "LoadPlan",
-                                *MISSING = "the first argument must be the plan of a load";
+    static constexpr const char *NAME = "LoadPlan";
     using Arguments = std::tuple<std::vector<Indices>, std::tuple<Numbers, Numbers, Numbers>, Size,
                                  Size, Size, Size>;
     Arguments of;

@@ -266,7 +266,7 @@ template <class T> int stages_iterated(StageStep<T> *s)
     int known = 0, strained = 0, settled = 0;
     floor /= rules->h * rules->h;
     s->size = INFINITY;
-    while (s->iterations < rules->max_iterations + LAG<T>) {
+    while ((double)s->iterations < rules->max_iterations + LAG<T>) {
         double now = stage_residuals<T>(s);
         s->iterations++;
         if (!isfinite(now))

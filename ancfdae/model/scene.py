@@ -65,8 +65,9 @@ class Scene(SceneDesign):
     frame : RotatingFrame, optional
         Steadily rotating frame in which the whole scene is declared; by default an inertial frame.
     left_out : sequence of (str, int)
-        Joint equations that are not imposed: the name of a joint and the number of its equation,
-        counted from 0. `drop_redundant` finds equations that other ones imply.
+        Joint equations that are not imposed because other ones imply them, as `drop_redundant`
+        finds them: the name of a joint and the number of its equation, counted from 0. A run ends
+        where one of them opens.
 
     Raises
     ------

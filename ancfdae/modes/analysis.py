@@ -20,6 +20,7 @@ from ancfdae.modes.precise import NoModes
 from ancfdae.modes.result import ModeDerivatives, ModeKind, Modes
 from ancfdae.modes.undamped import undamped
 from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.inertia import WHOLE
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.statics.controlled import about_states
@@ -125,15 +126,20 @@ def modes_about(
     )
 
 
-def growth(system: MechanicalSystem, at: LinearisationPoint) -> complex | None:
-    """Return the exponent of a motion that grows, of a controlled system about a configuration.
+def growth(system: MechanicalSystem, at: LinearisationPoint) -> tuple[bool, complex | None]:
+    """Return whether growing motions were searched about a configuration, and the exponent of one.
 
-    None if none of its motions grows.
+    Damping, controllers and gyroscopic forces count. They can make an equilibrium unstable beside
+    forces without a potential only: where K is symmetric nothing is searched, nor in systems of
+    more than 1,500 independent motions. The exponent is None if no motion grows.
     """
-    small = Linearised.of(system, at, True)
+    small = Linearised.of(system, at, None)
+    stable = small.D is None or (not len(small.idle) and small.is_symmetric(small.K))
+    if stable or small.n_free > WHOLE:
+        return False, None
     pairs = solve(small, 1 + len(small.idle), False)
     first = complex(pairs.z[np.argmax(pairs.z.real)])
-    return first if first.real > 0 else None
+    return True, first if first.real > 0 else None
 
 
 def exponents(small: Linearised, z: Array) -> Array:

@@ -265,10 +265,14 @@ def _values_b(
 def _is_defective(small: Linearised, z: complex, X: Array, Y: Array, G: Array) -> bool:
     """Whether coinciding modes also share their shape, as at critical damping; z_b is infinite.
 
-    Y^T F' X is then singular, to the root of round-off, the accuracy of such eigenvalues.
+    Y^T F' X is then singular, to the root of round-off, the accuracy of such eigenvalues. Each mode
+    is measured by its own terms: of motions that creep at -1 over the retardation time, stiff and
+    soft ones coincide, with shapes of their own.
     """
     Y = np.abs(Y[: small.system.n_q])
     size = Y.T @ small.times(np.abs(small.slope(abs(z))), np.abs(X))
+    scale = 1 / np.sqrt(np.diag(size))
+    G, size = (matrix * scale * scale[:, None] for matrix in (G, size))
     return bool(scipy.linalg.svdvals(G)[-1] <= EPS**0.5 * scipy.linalg.norm(size))
 
 

@@ -48,8 +48,8 @@ class LinearisationPoint:
         Velocities of this configuration, which must be small except for states of controllers; None
         for zero velocity.
     v_b : array, shape (n_q, n_b), or None
-        Design derivatives of v, of which those of states count; None if states do not depend on the
-        design.
+        Design derivatives of v, used where velocities are states; None if states do not depend on
+        the design.
     """
 
     q: Array
@@ -192,7 +192,7 @@ class Linearised:
 
     @cached_property
     def idle(self) -> Array:
-        """Indices of coordinates of which states are the rates, and which no force depends on."""
+        """Indices of coordinates whose rates are states, and no forces' arguments, shape (k,)."""
         return idle_of(self.system)
 
     @cached_property

@@ -111,6 +111,10 @@ class ControlledSystem(MechanicalSystem):
         """Return, by name, bodies of the base whose mesh is too coarse in states, rows of q."""
         return self.base.coarse(states, moving)
 
+    def opened(self, t: Array, q: Array) -> tuple[int, str] | None:
+        """Return the first of k states of the base that opens an equation left out."""
+        return self.base.opened(t, q)
+
     def contacts(self) -> ContactRecord | None:
         """Return a new record of the contacts of the base."""
         return self.base.contacts()
@@ -121,7 +125,7 @@ class Steady(ControlledSystem):
     """A controlled system at rest, with its states as coordinates; see the module."""
 
     def __init__(self, base: MechanicalSystem, weights: Array | None = None) -> None:
-        """Set up the system; `weights`, (n_q,), are those of its equilibrium at another design."""
+        """Set up the system; `weights`, (n_q,), are given where another design has set them."""
         super().__init__(base, _weights_at_rest(base) if weights is None else weights)
         self.traits = replace(self.traits, velocity_forces=False)
         self.state_places = base.state_places
@@ -195,7 +199,7 @@ def _weights_at_rest(base: MechanicalSystem) -> Array:
 
     A state has the mass w = (g T)^2, with g the force of a unit of it in the norm of the weights
     and T a time of the loop. So T^2 w is the square of the displacement that it causes in T.
-    States without a force have the T of the others.
+    States without a force have the longest T of the states with one.
     """
     q, v = (x.real for x in base.start())
     none = np.zeros((1, base.n_lam))

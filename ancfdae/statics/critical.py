@@ -66,6 +66,11 @@ _FLUTTER = (
     "Its loads turn with the motion, so that it may flutter, which takes no loss of stiffness: "
     "ask modes(scene, at=equilibrium(scene))"
 )
+_HIDDEN = (
+    "Where beams are thinner than a millionth of their length, or stand thousands of lengths from "
+    "the origin, round-off hides their stiffness: move the scene to the origin, or take thicker "
+    "sections"
+)
 # Two losses of stiffness that differ by less than _GAP times their distance are to be distinguished
 # from a nearer place; at _NEAR times the way they count as one, being closer than 1e-4 of it.
 _GAP, _NEAR = 0.1, 1e-3
@@ -240,6 +245,8 @@ def _first_critical(
             raise NoCriticalPointError(f"{name!r}: {_lost_in_words(place)}.")
         if place.p == to:
             end = f"keeps its stiffness. {_FLUTTER}" if place.follows else "is stable"
+            if place.hidden:
+                end = f"seems stable. {_HIDDEN}"
             raise NoCriticalPointError(f"{name!r}: every equilibrium up to {to:g} {end}.")
         last, place = place.p, path.step(system, place)
         bar.update(abs(place.p - last))
@@ -251,10 +258,9 @@ def _lost_in_words(place: _Place) -> str:
     """Describe a loss of stiffness beyond a place where Newton's method found no point."""
     if place.follows:
         return f"equilibria are unstable, or not to be followed, beyond {place.p:g}. {_FLUTTER}"
-    where = f"stiffness is lost beyond {place.p:g}"
     return (
-        f"{where}, but Newton's method finds no critical point there. Where beams are thin and "
-        "have hundreds of elements round-off hides it: use fewer elements, or CABLE_2D or CABLE_3D"
+        f"stiffness is lost beyond {place.p:g}, but Newton's method finds no critical point there. "
+        f"{_HIDDEN}"
     )
 
 
@@ -265,8 +271,9 @@ class _Place:
 
     `ahead` are the distances in p, rising, after which motions lose their stiffness if it continues
     to change linearly, in the sense of the search; `behind` is the least distance backward, `blur`
-    the round-off of the first. `motion` is the first to lose its stiffness, `paths` are dq/dp and
-    dlam/dp. `follows` is True if K is not symmetric.
+    the round-off of the first. `motion` is the first to lose its stiffness, and `hidden` whether
+    the matrix K does not see a part _GAP of it. `paths` are dq/dp and dlam/dp. `follows` is True
+    if K is not symmetric.
     """
 
     system: MechanicalSystem
@@ -277,6 +284,7 @@ class _Place:
     ahead: Array
     behind: float
     blur: float
+    hidden: bool
     motion: Array
 
     @property
@@ -289,15 +297,17 @@ class _Place:
         """Return a place of the path; predict the stiffness of its softest motions linearly."""
         balance, state = Balance(system, 0.0, at.q, at.lam), (at.q, at.lam)
         soft = softest(balance, 1.0, *state)
-        X, mu = soft.motions, soft.multipliers
-        K, slope = X.T @ system.pattern.dot(soft.K, X), np.zeros((X.shape[1],) * 2)
-        paths = Tangent(system, 0.0, *state).sensitivities()
+        X, mu, tangent = soft.motions, soft.multipliers, Tangent(system, 0.0, *state)
+        # The matrix does not see a load whose strain is below the digits of the coordinates.
+        K = np.array([X.T @ tangent.exact.times(x) for x in X.T]).reshape(len(mu.T), -1).T
+        unseen = K - X.T @ system.pattern.dot(soft.K, X)
+        slope, paths = np.zeros_like(K), tangent.sensitivities()
         along = paths[0][:, k], paths[1][:, k]
         for j, motion in enumerate(zip(X.T, mu.T, strict=True)):
             force, side = (x[:, k] for x in stiffness_total(system, state, motion, paths))
             slope[:, j] += X.T @ force + mu.T @ side
         if not len(K):  # Constraints leave no free motion.
-            nothing = np.zeros(0), np.inf, 0.0, np.zeros(system.n_q)
+            nothing = np.zeros(0), np.inf, 0.0, False, np.zeros(system.n_q)
             return _Place(system, k, at, along, soft.follows, *nothing)
         if not soft.follows:
             K, slope = (K + K.T) / 2, (slope + slope.T) / 2
@@ -308,6 +318,7 @@ class _Place:
         with np.errstate(divide="ignore"):
             far = 1.0 / rates[real].real
             blur = soft.noise * (v @ v) / np.abs(v @ slope @ v)
+        far = far[np.isfinite(far)]
         return _Place(
             system,
             k,
@@ -317,6 +328,7 @@ class _Place:
             np.sort(far[far > 0]),
             float(np.min(-far[far < 0], initial=np.inf)),
             float(blur),
+            bool(abs(v @ unseen @ v) > _GAP * abs(v @ K @ v)),
             first if np.any(far > 0) else X[:, 0],
         )
 

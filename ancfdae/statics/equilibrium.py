@@ -15,15 +15,20 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeAlias, final
+from typing import Any, final
 
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.saddle_points import force_total, held_q, held_total, solve, solve_transposed
+from ancfdae.equations.saddle_points import (
+    force_total,
+    held_total,
+    refuse_opened,
+    solve,
+    solve_transposed,
+)
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import (
     Sensitivities,
@@ -39,22 +44,15 @@ from ancfdae.errors.kinds import (
 )
 from ancfdae.errors.outcomes import Verdict, uninterrupted
 from ancfdae.errors.text import PrintedTable, TableText, listed
-from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.statics.balance import Balance
 from ancfdae.statics.controlled import at_rest, with_states, without_states
+from ancfdae.statics.exact_products import ExactProducts, Parts, refined
 from ancfdae.statics.outcome import EquilibriumOutcome
 from ancfdae.statics.search import SearchEnd, search
 from ancfdae.statics.softness import softest
-
-# The two parts of a saddle-point system's unknowns or equations.
-Parts: TypeAlias = tuple[Array, Array]
-
-# Most steps of refinement; each gains as many digits as the factors have.
-_REFINEMENTS = 20
-# Factor on corrections below the last digit of the coordinates, so that coordinates can hold them.
-_MAGNIFIED = 2.0**17
 
 
 @final
@@ -66,13 +64,13 @@ class Tangent:
         self._system, self._t = system, t
         zero = np.zeros_like(q)
         self._q, self._lam, self._rest = q, lam, zero
-        self._K, self._Phi_q = balance.tangent(1.0, q, lam), system.constraint_q(t, q)
-        self._factors: Factorization = balance.factor(self._K, self._Phi_q)
+        K, self._Phi_q = balance.tangent(1.0, q, lam), system.constraint_q(t, q)
+        self._factors: Factorization = balance.factor(K, self._Phi_q)
         R, Phi = balance.unbalanced(q, lam), system.constraint(t, q)
         # The correction is not used if the state is not an equilibrium.
         beyond = solve(self._factors, R, -Phi)[0]
-        balanced = balance.is_round_off(R, self._K, q, lam, beyond)
-        self._beyond = beyond if balanced else zero
+        balanced = balance.is_round_off(R, K, q, lam, beyond)
+        self.exact = ExactProducts(system, t, q, lam, K, beyond if balanced else zero)
 
     @staticmethod
     def of(system: MechanicalSystem, at: Solution) -> Tangent:
@@ -87,7 +85,7 @@ class Tangent:
         """Return q_b and lam_b, shapes (n_q, n_b) and (n_lam, n_b)."""
         system = self._system
         start = np.zeros((system.n_q, system.n_b)), np.zeros((system.n_lam, system.n_b))
-        return self._refined(start, self._left, solve)
+        return refined(system, self._factors, start, self._left, solve)
 
     def pull_back(self, on_q: Array, on_lam: Array) -> Array:
         """Return q_b^T on_q + lam_b^T on_lam by transposed solves, shape (n_b,).
@@ -99,11 +97,12 @@ class Tangent:
         system = self._system
 
         def left(mu: Array, zeta: Array) -> Parts:
-            pushed = on_q - self._transposed_times(mu)
+            pushed = on_q - self.exact.transposed_times(mu)
             pushed = pushed - system.constraint_pattern.dot_transposed(self._Phi_q, zeta)
             return pushed, on_lam - system.constraint_pattern.dot(self._Phi_q, mu)
 
-        mu, zeta = self._refined((0 * on_q, 0 * on_lam), left, solve_transposed)
+        none = 0 * on_q, 0 * on_lam
+        mu, zeta = refined(system, self._factors, none, left, solve_transposed)
         s_b = system.start_b()[0]
         if not np.any(s_b):
             rest = self._rest[None]
@@ -116,53 +115,11 @@ class Tangent:
         """Return minus the total derivatives of Phi_q^T lam - Q and of Phi along q_b, lam_b."""
         system, q, lam, t = self._system, self._q, self._lam, self._t
         still = np.zeros_like(q_b)
-        force = self._exactly(lambda q: force_total(system, t, q, self._rest, q_b, still))
+        force = self.exact.corrected(lambda q: force_total(system, t, q, self._rest, q_b, still))
         force = force - held_total(system, t, q, self._rest, lam, q_b)
         force = force - system.constraint_pattern.dot_transposed(self._Phi_q, lam_b)
         side = system.constraint_total(t, (q,), (q_b,))
         return force, -side
-
-    def _transposed_times(self, mu: Array) -> Array:
-        """Return K^T mu, (n_q,): K mu by complex steps of the forces, plus (K^T - K) mu."""
-        system, pattern = self._system, self._system.pattern
-        moving = 1j * STEP * mu
-        rate = self._exactly(lambda q: system.force(self._t, q + moving, self._rest).imag)
-        product: Array = -rate / STEP
-        held = held_q(system, self._t, self._q, self._rest, self._lam)
-        product = product + pattern.dot(held, mu)
-        K = pattern.csr(self._K)
-        product += (K.T - K) @ mu
-        return product
-
-    def _exactly(self, value: Callable[[Array], Array]) -> Array:
-        """Return a function of q at the equilibrium, corrected for the round-off of q.
-
-        Coordinates round to eps |q|, which leaves an axial force eps EA: (L/h)^2 times the forces
-        that bend a beam. The last correction of Newton's method is smaller than q can hold: it is
-        magnified, and its effect taken by a central difference. Forces of beams are cubic in q.
-        """
-        step = _MAGNIFIED * self._beyond
-        slope = (value(self._q + step) - value(self._q - step)) / (2 * _MAGNIFIED)
-        return value(self._q) + slope
-
-    def _refined(
-        self,
-        x: Parts,
-        left: Callable[[Array, Array], Parts],
-        solver: Callable[[Factorization, Array, Array], Parts],
-    ) -> Parts:
-        """Return the solution x refined by corrections, as long as those of a column halve."""
-        last = np.array(np.inf)
-        for _ in range(_REFINEMENTS):
-            change = solver(self._factors, *left(*x))
-            size = np.sqrt(self._system.weights @ change[0] ** 2)
-            shrinking = size < 0.5 * last
-            on_q, on_lam = (np.where(shrinking, part, 0.0) for part in change)
-            x = x[0] + on_q, x[1] + on_lam
-            if not np.any(shrinking):
-                break
-            last = np.where(shrinking, size, 0.0)
-        return x
 
 
 # -- equilibria --------------------------------------------------------------------------------
@@ -273,6 +230,8 @@ def find_equilibrium(
     if sensitivities and end.outcome.success:
         balance.work.factorisations += 1
         derivatives = Tangent(of, 0.0, end.q, end.lam).sensitivities()
+    if end.outcome.success:
+        refuse_opened(of, 0.0, end.q)
     if end.outcome.success and not near:
         warn_of_mesh("equilibrium", system, end.q[None], stacklevel=5)
         _warn_of_passage(system, np.stack([q, end.q]))

@@ -19,9 +19,10 @@ by the second derivatives of the system, by differences of five points for two p
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias, final
+from typing import final
 
 import numpy as np
 
@@ -34,10 +35,8 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.numerics.patterns import SparsityPattern
 from ancfdae.statics.balance import Balance
+from ancfdae.statics.exact_products import ExactProducts, Parts, refined
 from ancfdae.statics.softness import negative_directions, stiffness_of_coordinates
-
-# The two parts of a saddle-point system's unknowns or equations.
-Parts: TypeAlias = tuple[Array, Array]
 
 _ITERATIONS = 25
 # Newton's method has converged at corrections below this fraction of the largest one.
@@ -211,7 +210,8 @@ class HeldSystem:
                 K, most = balance.tangent(1.0, q, lam), max(most, size)
                 small = size <= _CONVERGED * most or balance.is_round_off(R, K, q, lam)
                 if size >= 0.5 * last and small:
-                    return self._point(factors, q, lam, tau)
+                    exact = ExactProducts(system, 0.0, q, lam, K, dq)
+                    return self._point(factors, exact, tau)
                 q, lam, tau, last = q + dq, lam + dlam[:-1], tau - float(dlam[-1]), size
         except SingularMatrix:
             pass
@@ -221,11 +221,10 @@ class HeldSystem:
         B = np.append(balance.Phi_q(q), 1.0)
         return self._matrices.factor(balance.tangent(1.0, q, lam), B)
 
-    def _point(self, factors: Factorization, q: Array, lam: Array, tau: float) -> HeldPoint:
-        system, i = self._system, self._i
-        last = np.append(np.zeros_like(lam), 1.0)
-        q_a, lam_a = solve(factors, 0 * q, last)
-        y_q, y_lam = solve_transposed(factors, 0 * q, last)
+    def _point(self, factors: Factorization, exact: ExactProducts, tau: float) -> HeldPoint:
+        system, i, q, lam = self._system, self._i, exact.q, exact.lam
+        q_a, lam_a = self._along(factors, exact.times, exact, solve)
+        y_q, y_lam = self._along(factors, exact.transposed_times, exact, solve_transposed)
         # Along the change of the start, which contains most of a stretch, so that round-off of y is
         # not multiplied by the force of that stretch.
         s_b = system.start_b()[0]
@@ -240,6 +239,24 @@ class HeldSystem:
         point = tau, -float(lam_a[-1]), tau_b, reach
         held = self._holds(Balance(system, 0.0, q, lam), q, lam)
         return HeldPoint(system, i, q, lam, *point, motion, paths, left, held)
+
+    def _along(
+        self,
+        factors: Factorization,
+        times: Callable[[Array], Array],
+        exact: ExactProducts,
+        solver: Callable[[Factorization, Array, Array], Parts],
+    ) -> Parts:
+        """Return the solution of A z = e, e the row of tau, refined; of A^T z = e alike."""
+        system, i, B = self._system, self._i, self._system.constraint_pattern
+        Phi_q, none = system.constraint_q(0.0, exact.q), np.zeros(system.n_lam + 1)
+
+        def left(x: Array, mu: Array) -> Parts:
+            force = -times(x) - B.dot_transposed(Phi_q, mu[:-1])
+            force[i] -= mu[-1]
+            return force, np.append(-B.dot(Phi_q, x), 1.0 - x[i])
+
+        return refined(system, factors, (0 * exact.q, none), left, solver)
 
     def _holds(self, balance: Balance, q: Array, lam: Array) -> bool:
         K = balance.tangent(1.0, q, lam)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import final
 
@@ -22,7 +23,18 @@ class FreeMotionError(InvalidInputError):
 
 
 def free_mechanism(naming: Naming | None, q: Array, motions: Array) -> FreeMotionError:
-    """Return the error for motions, shape (n_q, k), that nothing restrains at q."""
+    """Return the error for motions, shape (n_q, k), that nothing restrains at q.
+
+    A motion that changes the shape of a body has a stiffness, which round-off hides.
+    """
+    if naming is not None and naming.deforms(q, motions):
+        return FreeMotionError(
+            "equilibrium",
+            "the stiffness of every motion must exceed the round-off of the stiffest one",
+            f"a stiffness that round-off hides: {motions_in_words(naming, q, motions)}",
+            "Take thicker sections (thinner than 1e-5 of the length is too thin for few elements), "
+            "or a rigid body; at a critical load change the load by 1 %.",
+        )
     return FreeMotionError(
         "equilibrium",
         "every motion must be held by a joint, a stiffness or the weight",
@@ -72,8 +84,11 @@ class EquilibriumOutcome:
         Exponent s of the vibration that grows fastest without damping because follower loads feed
         it; 1/s. None without such a vibration.
     growth : complex or None
-        Exponent s of the motion of the mechanism with its controllers that grows fastest; 1/s. None
-        if none grows, or without controllers with states.
+        Exponent s of a motion that grows with damping and controllers; 1/s. None if none grows, or
+        none was searched.
+    growth_searched : bool
+        Whether `growth` was searched: `equilibrium` does where there are controllers with states,
+        or damping beside loads that turn with the motion, which damping can make unstable.
     flutter_searched : bool
         Whether all motions were searched for flutter: False with follower loads on more than 1,500
         independent motions, of which only the twenty nearest to zero were searched.
@@ -89,6 +104,7 @@ class EquilibriumOutcome:
     folded: str = ""
     flutter: complex | None = None
     growth: complex | None = None
+    growth_searched: bool = False
     flutter_searched: bool = True
 
     @property
@@ -98,7 +114,8 @@ class EquilibriumOutcome:
 
     def of_run(self) -> RunOutcome:
         """Return this outcome as the outcome of a solution with one time point."""
-        return RunOutcome(self.verdict, 0.0, self.step, self.residual, self.fraction)
+        doubts = "; ".join(self._doubts()) if self.success else ""
+        return RunOutcome(self.verdict, 0.0, self.step, self.residual, self.fraction, doubts)
 
     def __str__(self) -> str:
         """Return the outcome of the search as a sentence."""
@@ -121,24 +138,29 @@ class EquilibriumOutcome:
                 "itself or crushed, as no body can be; use more elements, or start from "
                 "nodes near the equilibrium (NodalState)"
             )
+        return "; ".join([text, *self._doubts()]) + "."
+
+    def _doubts(self) -> Iterator[str]:
+        """Yield what makes the state unstable, or leaves its stability unknown, as texts."""
         if self.stable_to is not None:
             above = f" above {100 * self.stable_to:.3g} % of the load" if self.stable_to else ""
-            text += f"; its stiffness is negative{above}: "
-            text += _GYROSCOPIC if self.gyroscopic else "it is unstable (buckled)"
-        if self.flutter is not None:
-            text += (
-                "; unless damping holds it, it flutters: its loads turn with the motion, and a "
-                f"vibration of {self.flutter.imag:.4g} rad/s grows by {self.flutter.real:.3g} 1/s"
+            held = _GYROSCOPIC if self.gyroscopic else "it is unstable (buckled)"
+            yield f"its stiffness is negative{above}: {held}"
+        if self.flutter is not None and self.growth is None:
+            held = "its damping holds it, without which" if self.growth_searched else ""
+            yield (
+                f"{held or 'unless damping holds it,'} it flutters: its loads turn with the "
+                f"motion, and a vibration of {self.flutter.imag:.4g} rad/s grows by "
+                f"{self.flutter.real:.3g} 1/s"
             )
         if self.growth is not None:
-            text += (
-                f"; its controllers do not hold it: a motion grows by {self.growth.real:.3g} 1/s"
+            vibrates = f" and vibrates with {self.growth.imag:.4g} rad/s"
+            yield (
+                "it is unstable with its damping and controllers: a motion grows by "
+                f"{self.growth.real:.3g} 1/s{vibrates if self.growth.imag else ''}"
             )
-            if self.growth.imag:
-                text += f" and vibrates with {self.growth.imag:.4g} rad/s"
         if not self.flutter_searched:
-            text += (
-                "; of its many motions only the twenty next to zero were searched for flutter from "
+            yield (
+                "of its many motions only the twenty next to zero were searched for flutter from "
                 "loads that turn with the motion"
             )
-        return f"{text}."

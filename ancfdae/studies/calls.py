@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast, overload
 
 import numpy as np
 
-from ancfdae.assembly.system import assemble
+from ancfdae.assembly.system import AncfSystem, assemble
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.event_solution import EventSolution
 from ancfdae.equations.solution import Solution
@@ -22,6 +22,7 @@ from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
+from ancfdae.numerics.time_grid import LOBATTO_DEGREE
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
 from ancfdae.sensitivity.method import (
     Gradient,
@@ -215,24 +216,44 @@ def _thinned(run: Run, keep: Keep) -> Solution:
 
 def _warned(system: MechanicalSystem, solution: Solution) -> Solution:
     """Return the run after warning the caller's caller if its errors are large."""
-    if solution.outcome.success and not _is_off(solution, 4):
+    if solution.outcome.success and not _is_off(system, solution, 4):
         rows = Rows(solution.t, solution.q, solution.v)
         warn_near_singular(system, rows, solution.estimated_errors, stacklevel=4)
     return solution
 
 
-def _is_off(solution: Solution, level: int) -> bool:
-    """Return whether the estimated errors of a finished run exceed its motion; if so, warn."""
+def _is_off(system: MechanicalSystem, solution: Solution, level: int) -> bool:
+    """Return whether the estimated errors of a finished run exceed its motion; if so, warn.
+
+    So do steps that turn a rigid body otherwise than its angular velocity.
+    """
     errors = solution.estimated_errors
-    if not solution.outcome.success or errors is None or errors.motion <= 1:
+    if not solution.outcome.success:
         return False
-    warnings.warn(
-        f"the errors of this run are estimated at {errors.motion:.2g} times the size of the "
-        "coordinates: its steps are too long to follow the motion. Take shorter ones "
-        "(suggest_step tells which), or rtol.",
-        StabilityWarning,
-        stacklevel=level,
-    )
+    if errors is not None and errors.motion > 1:
+        found = (
+            f"the errors of this run are estimated at {errors.motion:.2g} times the size of the "
+            "coordinates: its steps are too long to follow the motion. Take shorter ones "
+            "(suggest_step tells which), or rtol."
+        )
+    elif (
+        isinstance(system, AncfSystem)
+        and solution.degree != LOBATTO_DEGREE
+        and any(body.count == body.stride for body in system.naming.layout.bodies)
+    ):
+        from ancfdae.studies.turns import turned_apart
+
+        apart = turned_apart(system, solution)
+        if apart is None:
+            return False
+        found = (
+            f"body {apart[0]!r} turns by up to {apart[1]:.2g} rad in a step, and its rotation and "
+            "its angular velocity differ: the rotation may be wrong by turns. Take steps in which "
+            "it turns by 0.1 rad (HHT) or 0.5 rad (Radau), or rtol."
+        )
+    else:
+        return False
+    warnings.warn(found, StabilityWarning, stacklevel=level)
     return True
 
 
@@ -306,7 +327,7 @@ def differentiate(
         return differentiated(made, method)
     run = Run(system, t_end, integrator, progress, after)
     solution = with_remedies(model, run, uninterrupted(method.differentiate(run)))
-    _is_off(solution, 3)
+    _is_off(system, solution, 3)
     return solution
 
 
@@ -429,7 +450,7 @@ def gradients(
     except UnfinishedRunError as error:
         raise UnfinishedRunError(with_remedies(model, run, error.solution)) from error
     solution = found[0].solution
-    if not _is_off(solution, 4) and system.traits.slender:
+    if not _is_off(system, solution, 4) and system.traits.slender:
         some = np.linspace(0, len(solution.q) - 1, 1 + _FEW_LOOKS).round().astype(int)[1:]
         warn_of_mesh("gradient", system, solution.q[some], stacklevel=4, moving=True)
     return found

@@ -102,24 +102,26 @@ def equilibrium(
     )
     if found.outcome.success:
         warn_of_strains("equilibrium", system, found.q[None])
-        if system.controllers:
-            found = _judged_with_controllers(system, found)
+        found = _judged_with_damping(system, found)
     return found
 
 
-def _judged_with_controllers(system: MechanicalSystem, found: Equilibrium) -> Equilibrium:
-    """Return an equilibrium whose outcome says if a motion with its controllers grows."""
+def _judged_with_damping(system: MechanicalSystem, found: Equilibrium) -> Equilibrium:
+    """Return an equilibrium whose outcome says if a motion grows with damping and controllers."""
+    if system.traits.symmetric or not system.traits.velocity_forces:
+        return found
     about = about_states(system, found.solution.v[0])
     try:
-        grows = growth(about, LinearisationPoint(found.q, found.lam))
+        searched, grows = growth(about, LinearisationPoint(found.q, found.lam))
     except NoModes as error:
         warnings.warn(
-            f"equilibrium: stability with controllers is undecided: {error}",
+            f"equilibrium: stability with damping and controllers is undecided: {error}",
             StabilityWarning,
             stacklevel=3,
         )
         return found
-    return replace(found, outcome=replace(found.outcome, growth=grows))
+    outcome = replace(found.outcome, growth=grows, growth_searched=searched)
+    return replace(found, outcome=outcome)
 
 
 def critical_load(

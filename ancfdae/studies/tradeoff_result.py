@@ -1,8 +1,9 @@
 """Measured settings: one run of each, its errors, Pareto front, recommendation, table and plot.
 
 Every error is the largest over the common times relative to the largest value of the reference, in
-dimensionless norms: coordinates in the weighted form sqrt(w_i) q_i, multipliers by the forces
-Phi_q^T lam, gradients times the values of the design variables.
+dimensionless norms: coordinates in the weighted form sqrt(w_i) q_i, with positions from the mean
+position of the start, multipliers by the forces Phi_q^T lam, gradients times the values of the
+design variables.
 """
 
 from __future__ import annotations
@@ -199,8 +200,8 @@ class MeasuredSetting:
         Errors relative to the reference; None if the setting failed, and of multipliers with
         events.
     drift : float or None
-        Largest violation of a constraint as a distance, relative to the norm of the coordinates;
-        None with events.
+        Largest violation of a constraint as a distance, relative to the norm of the coordinates,
+        with positions from the mean position of the start; None with events.
     energy : float or None
         Largest difference of the total energy (kinetic, strain and gravity) from the reference,
         relative to the largest kinetic energy; None with events, and for systems that are not
@@ -413,8 +414,8 @@ def compared(
     )
     if task.model:
         return row
-    root = np.sqrt(system.weights)
-    row = replace(row, states=_largest_ratio((given.q - exact.q) * root, exact.q * root))
+    root, moved = np.sqrt(system.weights), _from_start(system, exact.q)
+    row = replace(row, states=_largest_ratio((given.q - exact.q) * root, moved * root))
     if given.along is None or exact.along is None:
         return row
     t = common_times(exact.t_end)
@@ -428,6 +429,12 @@ def compared(
         drift=_drift(system, exact.q, t, given.along.drift),
         energy=_energy_error(given.along, exact.along),
     )
+
+
+def _from_start(system: MechanicalSystem, q: Array) -> Array:
+    """Return coordinates q, (k, n_q), with positions from the mean position of the start."""
+    start = system.start()[0].real
+    return q - (start - system.centred(start))
 
 
 def _forces(system: MechanicalSystem, q: Array, lam: Array, t: Array) -> Array:
@@ -448,7 +455,8 @@ def _drift(system: MechanicalSystem, q: Array, t: Array, drift: Array) -> float:
         for x, s in zip(q, t, strict=True)
     ]
     length = np.sqrt(np.max(squares, axis=0))
-    size = float(np.max(np.linalg.norm(q * np.sqrt(system.weights), axis=1)))
+    moved = _from_start(system, q) * np.sqrt(system.weights)
+    size = float(np.max(np.linalg.norm(moved, axis=1)))
     away = np.max(np.abs(drift), axis=0)
     return max(ratio(float(x), float(y) * size) for x, y in zip(away, length, strict=True))
 

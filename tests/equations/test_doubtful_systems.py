@@ -504,12 +504,18 @@ class Follower(Linear):
     K = np.array([[3.0, -1.0], [1.0, 1.0]])
 
 
-@pytest.mark.parametrize("kind", [Gyroscope, Follower])
-def test_double_roots_of_a_system_without_beams_are_told_without_beams(kind):
+def test_double_roots_of_a_system_without_beams_are_told_without_beams():
     with pytest.raises(NoModes, match="a millionth of itself") as caught:
-        modes(kind(), 2)
+        modes(Gyroscope(), 2)
     for word in ("element", "thick", "creep", "pivot"):
         assert word not in str(caught.value)
+
+
+def test_a_double_root_with_one_shape_has_infinite_derivatives():
+    found = modes(Follower(), 2)
+    np.testing.assert_allclose(found.exponents, np.sqrt(2) * 1j, rtol=1e-7)
+    assert found.coincide == ((0, 1),)
+    assert np.all(np.isinf(found.derivatives.exponents_b))
 
 
 def test_points_of_rigid_bodies_take_their_coordinates_one_by_one():

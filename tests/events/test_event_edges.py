@@ -6,6 +6,7 @@ import pytest
 from ancfdae import (
     HHT,
     Adjoint,
+    AtTimes,
     ComplexStep,
     DirectDifferentiation,
     EndEvent,
@@ -20,8 +21,8 @@ from ancfdae import (
     gradient,
     simulate,
 )
-from ancfdae.errors import InvalidInputError, ManyStepsWarning
-from ancfdae.observables import elapsed_time, position
+from ancfdae.errors import InvalidInputError, ManyStepsWarning, UnlikelyValueWarning
+from ancfdae.observables import elapsed_time, position, velocity
 from tests.support.balls import HEIGHT, Ball
 
 EXACT = (DirectDifferentiation(), Adjoint(), ComplexStep())
@@ -174,3 +175,27 @@ def test_time_of_an_event_is_an_objective():
     found = gradient(ball, Terminal(elapsed_time()), 3.0, HHT(0.05), events=[floor, up])
     # u t - 5 t^2 = 1 with u = 5: t = 0.5 - sqrt(0.05), after a fall of 1 s.
     assert found.value == pytest.approx(1.5 - np.sqrt(0.05), rel=1e-12)
+
+
+@pytest.mark.parametrize("method", [DirectDifferentiation(), Adjoint()])
+def test_value_at_the_time_of_an_impact_is_that_before_it_and_warned_of(method) -> None:
+    """A ball that falls from rest at 1 m strikes at sqrt(2 h/g), and bounces by half its speed."""
+    gravity, height = 10.0, 1.0
+    ball = RigidBody("ball", (0.0, height), mass=2.0, inertia=0.01)
+    scene = Scene(bodies=[ball], gravity=(0.0, -gravity))
+    floor = Impact(position(ball.origin, 1), restitution=0.5, name="floor")
+    strike, speed = np.sqrt(2 * height / gravity), velocity(ball.origin, 1)
+
+    def at(time):
+        objective = AtTimes(speed, [time])
+        given = {"design": ["scene.gravity_y"], "events": [floor], "method": method}
+        return gradient(scene, objective, 0.8, HHT(0.01), **given)
+
+    with pytest.warns(UnlikelyValueWarning, match=r"event happens at the time 0\.447213595 s"):
+        found = at(strike)
+    assert found.value == pytest.approx(-gravity * strike, rel=1e-9)
+    np.testing.assert_allclose(found.gradient, [strike], rtol=1e-6)
+    # Beside it there is no warning: v = -g t before, and e g t_1 - g (t - t_1) after the impact.
+    assert at(strike - 1e-6).value == pytest.approx(-gravity * (strike - 1e-6), rel=1e-9)
+    after = at(strike + 1e-6)
+    assert after.value == pytest.approx(0.5 * gravity * strike - gravity * 1e-6, rel=1e-9)

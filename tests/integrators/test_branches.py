@@ -7,6 +7,7 @@ whatever d.
 """
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.integrators import recorder
-from ancfdae.integrators.branch import CHANGED, Form, Place, followed
+from ancfdae.integrators.branch import CHANGED, Form, Place, closed, followed
 from ancfdae.integrators.prescribed_motion import Watch
 from ancfdae.laws import ConstantAcceleration, Harmonic, Spline
 from ancfdae.numerics.patterns import SparsityPattern
@@ -307,8 +308,11 @@ def test_the_law_of_the_splines_is_that_of_scipy():
 A, D, START, SPEED = 0.3, 1.0, 0.5, 2.0
 
 
-def parallelogram(start, crossed=False):
-    """A driven parallelogram at the angle `start`, or its crossed form, and its rocker."""
+def parallelogram(start, crossed=False, place=(0.0, 0.0)):
+    """A driven parallelogram at the angle `start`, or its crossed form, and its rocker.
+
+    The pivot of its crank is at `place`.
+    """
     crank_end = np.array([A * np.cos(start), A * np.sin(start)])
     rocker_end = crank_end + np.array([D, 0.0])
     if crossed:
@@ -318,7 +322,7 @@ def parallelogram(start, crossed=False):
         rocker_end = crank_end + 2 * (across @ line) * line - across
     ends = ((0, 0), crank_end), (crank_end, rocker_end), ((D, 0), rocker_end)
     crank, coupler, rocker = (
-        Beam(name, tuple(a), tuple(b), 1, SECTION, STEEL, rigid=True)
+        Beam(name, tuple(np.add(a, place)), tuple(np.add(b, place)), 1, SECTION, STEEL, rigid=True)
         for name, (a, b) in zip(("crank", "coupler", "rocker"), ends, strict=True)
     )
     joints = [
@@ -357,6 +361,50 @@ def test_a_parallelogram_stays_one_where_it_is_stretched(integrator):
     s = START + SPEED * run.t
     exact = np.stack([D + A * np.cos(s), A * np.sin(s)], axis=1)
     assert np.max(np.abs(run.position(rocker.at_end) - exact)) < 1e-5
+
+
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.StabilityWarning")
+@pytest.mark.parametrize("place", [(1e3, 500.0), (3e4, -2e4)])
+@pytest.mark.parametrize("start", [0.5, 1.2, 2.1, 2.8])
+def test_a_parallelogram_stays_one_far_from_the_origin(start, place):
+    """One turn as at the origin; coordinates have a round-off of 1e-11 of their lengths there."""
+    for integrator in (HHT(0.0157), Radau(0.0523), HHT(rtol=1e-5), Radau(rtol=1e-5)):
+        rocker, scene = parallelogram(start, place=place)
+        run = simulate(scene, np.pi, integrator)
+        assert run.outcome.success, (integrator, run.outcome)
+        s = start + SPEED * run.t
+        exact = np.add(place, np.stack([D + A * np.cos(s), A * np.sin(s)], axis=1))
+        assert np.max(np.abs(run.position(rocker.at_end) - exact)) < 1e-7
+
+
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.StabilityWarning")
+@pytest.mark.parametrize("back", [True, False])
+def test_words_of_a_lock_tell_of_a_law_that_turns_back(back):
+    """The parallelogram turns back 1e-7 rad before it is stretched: nothing locks.
+
+    A slider that is pushed through its dead point locks.
+    """
+    if back:
+        _, scene = parallelogram(np.pi - 1e-7 - 0.5)
+        law = Harmonic(0.5, 3.0)
+        joints = [replace(x, angle=law) if x.name == "motor" else x for x in scene.joints]
+        scene = replace(scene, joints=joints)
+    else:
+        _, scene = pushed(R + L - 1e-2, ConstantAcceleration(0.1))
+    run = HHT(0.01).integrate(assemble(scene), 0.6)
+    assert not run.outcome.success
+    assert "The joints lock at t = " in run.outcome.advice
+    assert ("A law that turns back" in run.outcome.advice) == back
+
+
+@pytest.mark.parametrize("place", [0.0, 1e4, 1e8])
+def test_joints_close_to_the_last_place_of_coordinates(place):
+    system = assemble(parallelogram(START, place=(place, -place))[1])
+    q, random = system.start()[0], np.random.default_rng(1)
+    for _ in range(20):
+        found = closed(system, 0.0, q + 1e-5 * random.standard_normal(len(q)), None)
+        assert found is not None
+        assert np.max(np.abs(system.constraint(0.0, found))) <= 1e-14 + 1e-15 * place
 
 
 def test_a_parallelogram_that_goes_on_crossed_is_found():

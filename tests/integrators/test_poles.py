@@ -104,7 +104,7 @@ def test_the_place_of_a_pole_is_found():
 
 
 def straight(force):
-    """What is found in a step from q = 1 to q = -2 at constant speed."""
+    """Return the pole found in a step from q = 1 to q = -2 at constant speed, or None."""
     rows = Rows(np.array([0.0, 1.0]), np.array([[1.0], [-2.0]]), np.full((2, 1), -3.0))
     return passed_pole(Particle(force, [1.0]), rows)
 
@@ -203,7 +203,7 @@ def test_no_run_of_a_scene_ends_beyond_a_pole(integrator):
     if isinstance(integrator, Radau):
         assert "a divisor in load 'sun' vanishes" in run.outcome.advice
     assert np.min(run.position(ball.at(0.0, 0.0))[:, 0]) > 0
-    # Its speed is 4 but for the last steps.
+    # Its speed is 4 until the last steps.
     assert run.t[-1] == pytest.approx(0.25, abs=1.01 * integrator.steps.step)
 
 

@@ -621,7 +621,7 @@ def test_joints_share_lists_only_where_their_operations_are_the_same():
         Distance(points[3], 2.0, ground=(5.0, 0.0), name="third"),
     ]
     system = assemble(Scene([], joints, bodies=balls))
-    # (|r|^2/L - L)/2 at |r| = 1, 1 and 2: the values are those of each joint.
+    # (|r|^2/L - L)/2 at |r| = 1, 1 and 2.
     expected = [(1 / 0.5 - 0.5) / 2, (1 / 0.9 - 0.9) / 2, (4 / 2.0 - 2.0) / 2]
     Phi = system.constraint(0.0, system._reference.q)
     names = np.array(system.constraint_names)

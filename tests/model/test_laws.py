@@ -316,3 +316,9 @@ def test_user_law_that_treats_symbols_unlike_numbers_is_refused():
 
     with pytest.raises(InvalidInputError, match="same values for numbers and for symbols"):
         UserLaw(twice).check()
+
+
+def test_user_law_may_grow_beyond_the_largest_derivative():
+    """exp(2456 t) is 4e106 at 0.1 s, where the list of operations returns infinity."""
+    law = UserLaw(lambda t: np.exp(2456.0 * t))
+    assert law.derivative(np.zeros(0), 0.01, 1) == pytest.approx(2456.0 * np.exp(24.56))

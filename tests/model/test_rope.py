@@ -33,6 +33,7 @@ from ancfdae import (
     gradient,
     simulate,
 )
+from ancfdae.equations import StateDirection
 from ancfdae.errors import InvalidInputError
 from ancfdae.laws import BSpline, ConstantAcceleration
 from ancfdae.observables import (
@@ -545,3 +546,33 @@ def test_an_end_that_crosses_its_pulley_within_a_part_of_a_step_is_seen():
             start = [InitialVelocity("load", 0.0, about=(0, 0), velocity=(-500.0, 0.0))]
             scene = Scene([], [], loads=[rope], bodies=[load], start=start)
             assert simulate(scene, 0.04, HHT(0.02)).outcome.verdict is Verdict.OFF_ROUTE
+
+
+def test_a_rope_that_is_just_taut_is_taut_in_every_derivative():
+    """Round-off of its length decided on the side of the kink, in transposes on the other one."""
+    load = body("load", (0.2, -0.7), 1.3)
+    pulley = Pulley((0.0, 0.0), 0.2, clockwise=True)
+    rope = Rope((-2.0, -0.5), load.origin, [pulley], stiffness=1e5, damping=1.0)
+    swing = [InitialVelocity("load", 0.0, about=(0.0, 0.0), velocity=(0.7, 0.0))]
+    scene = Scene([], [], (0, -G), loads=[rope], bodies=[load], start=swing)
+    system, rng = assemble(scene, ["load.mass"]), np.random.default_rng(0)
+    q, v = system.start()
+    a, mu, dq, dv = rng.normal(size=(4, system.n_q))
+    states, ahead, n = (q, v, a, np.zeros(system.n_lam)), StateDirection(0.0, dq, dv), system.n_q
+    on_q, on_v, _ = system.along_pull_back(0.0, states, ahead, mu)
+    still = np.zeros((n, 1))
+    for k in range(2):
+        unit = np.eye(n)[:, k : k + 1]
+        for moved, on in (((unit, still), on_q), ((still, unit), on_v)):
+            along = (*moved, still, np.zeros((system.n_lam, 1)))
+            total = system.along_total(0.0, states, ahead, along, (still, still))[:, 0]
+            assert mu @ total == pytest.approx(on[k], rel=1e-12)
+    cost, (direct, adjoint) = (
+        Terminal(position(load.origin, 1)),
+        (DirectDifferentiation(), Adjoint()),
+    )
+    found = [
+        gradient(scene, cost, 0.01, HHT(0.01), design=["load.mass"], method=method).gradient
+        for method in (direct, adjoint)
+    ]
+    assert found[1] == pytest.approx(found[0], rel=1e-10)

@@ -421,3 +421,17 @@ def test_given_derivatives_of_a_configuration_count():
         np.testing.assert_allclose(found, expected, rtol=1e-9)
     held = modes(scene, 3, at=LinearisationPoint(at.q, at.lam), design=names).frequencies_b
     assert np.max(np.abs(held - expected)) > 1e-3 * np.max(np.abs(expected))
+
+
+@pytest.mark.parametrize("height", [1e-2, 1e-4])
+def test_motions_that_creep_have_the_derivative_of_the_retardation_time(height):
+    """s = -1/tau of every motion, soft or stiff: shapes differ, and none is a double root."""
+    tau = 0.058 / height * 1e-2
+    section, law = Rectangle(height, 2 * height), Material(7800.0, 2e11, 0.3, damping_time=tau)
+    strip = Beam("strip", (0, 0), (1, 0), 6, section, law)
+    scene = Scene([strip], [Clamp(strip.at_start)])
+    found = modes(scene, 4, design=["strip.damping_time", "strip.density"])
+    np.testing.assert_allclose(found.exponents, -1 / tau, rtol=1e-6)
+    slopes = found.derivatives.exponents_b
+    np.testing.assert_allclose(slopes[:, 0], 1 / tau**2, rtol=1e-6)
+    np.testing.assert_allclose(slopes[:, 1] * 7800.0 * tau, 0.0, atol=1e-6)

@@ -13,10 +13,12 @@ from ancfdae import (
     Beam,
     BeamContact,
     BeamPairContact,
+    Bushing,
     Cylinder,
     InitialVelocity,
     Material,
     Pin,
+    PointForce,
     PointMass,
     Radau,
     RigidBody,
@@ -247,3 +249,39 @@ def test_an_equilibrium_on_the_other_side_of_a_body_warns_of_the_way():
         assert len(passed) == (side < 0)
         assert all("between the start and this state" in str(x.message) for x in passed)
         assert all(x.filename == __file__ for x in passed)
+
+
+def row_of_balls(place, push, count):
+    """Balls of 0.1 m in a row, 5 cm apart, on bushings of 100 N/m; both ends are pushed inward."""
+    balls = [
+        RigidBody(f"ball {k}", (place + 0.25 * k, 0.0), mass=1.0, inertia=0.01)
+        for k in range(count)
+    ]
+    points = [ball.at(0.0, 0.0) for ball in balls]
+    loads = [Bushing(x, (100.0, 100.0), None, 10.0, name=f"hold {k}") for k, x in enumerate(points)]
+    names = [ball.name for ball in balls]
+    loads.append(SphereContacts(names, [0.1] * count, stiffness=1e5, name="touch"))
+    loads += [PointForce(points[0], (push, 0.0)), PointForce(points[-1], (-push, 0.0))]
+    return Scene([], [], bodies=balls, loads=loads), points
+
+
+@pytest.mark.parametrize("place", [0.0, 1.0, 7.3, 1e3])
+@pytest.mark.parametrize("count", [3, 5])
+def test_a_ball_between_two_others_that_balance_is_not_passed_through(count, place):
+    """The contact forces on the middle ball add up to zero or to round-off, by symmetry."""
+    for push in (6.0, 10.0, 20.0):
+        scene, points = row_of_balls(place, push, count)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", UnlikelyValueWarning)
+            found = equilibrium(scene)
+        x = [found.solution.position(point)[0, 0] for point in points]
+        assert np.all(np.diff(x) > 0.1)
+        assert np.min(np.diff(x)) < 0.2
+
+
+def test_balls_that_end_on_the_other_side_of_each_other_warn():
+    scene, points = row_of_balls(0.0, 80.0, 3)
+    with pytest.warns(UnlikelyValueWarning, match="between the start and this state"):
+        found = equilibrium(scene)
+    x = [found.solution.position(point)[0, 0] for point in points]
+    assert np.all(np.diff(x) < 0)

@@ -1,5 +1,7 @@
 """Stability: unstable motions are counted, whatever stands beside them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy
@@ -12,6 +14,7 @@ from ancfdae import (
     Material,
     Pin,
     PointForce,
+    PointMass,
     RigidBody,
     Scene,
     TorsionalSpringDamper,
@@ -255,3 +258,40 @@ def test_round_off_of_a_symmetric_stiffness_is_no_load_that_turns(monkeypatch):
     )
     with pytest.raises(AssertionError, match="no load turns"):
         equilibrium(turning)
+
+
+@pytest.mark.parametrize("damping", [0.01, 0.1])
+@pytest.mark.parametrize("force", [1.2, 1.45, 1.5, 1.8, 2.1])
+def test_damping_that_lets_a_double_pendulum_flutter_is_said(force, damping):
+    """Ziegler (1952): dampers in the hinges halve the force up to which it stands.
+
+    M q'' + D q' + K q = 0 with M = [3 1; 1 1], D = d [2 -1; -1 1], K = [2 - P, P - 1; -1, 1].
+    """
+    lower = Beam(
+        "lower", (0, 0), (1, 0), 1, Rectangle(0.01, 0.01), Material(1e-6, E, 0.3), rigid=True
+    )
+    upper = replace(lower, name="upper", start=(1, 0), end=(2, 0))
+    scene = Scene(
+        [lower, upper],
+        [Pin(lower.at_start), Pin(lower.at_end, upper.at_start)],
+        bodies=[PointMass(lower.at_end, 2.0), PointMass(upper.at_end, 1.0)],
+        loads=[
+            TorsionalSpringDamper(lower.at_start, 1.0, damping=damping),
+            TorsionalSpringDamper(upper.at_start, 1.0, damping=damping, other=lower.at_end),
+            FollowerForce(upper.at_end, (-force, 0)),
+        ],
+    )
+    M, K = np.array([[3.0, 1.0], [1.0, 1.0]]), np.array([[2 - force, force - 1], [-1.0, 1.0]])
+    D = damping * np.array([[2.0, -1.0], [-1.0, 1.0]])
+    right = np.hstack([-np.linalg.solve(M, K), -np.linalg.solve(M, D)])
+    s = np.linalg.eigvals(np.vstack([np.hstack([np.zeros((2, 2)), np.eye(2)]), right]))
+    growing = s[np.argmax(s.real)]
+    outcome = equilibrium(scene).outcome
+    assert outcome.growth_searched
+    assert "flutters" not in str(outcome)
+    if growing.real < 0:
+        assert outcome.growth is None
+        return
+    assert outcome.growth.real == pytest.approx(growing.real, rel=1e-4)
+    assert abs(outcome.growth.imag) == pytest.approx(abs(growing.imag), rel=1e-5)
+    assert "unstable with its damping" in str(outcome)

@@ -15,15 +15,21 @@ from ancfdae import (
     DesignVariable,
     DirectDifferentiation,
     Distance,
+    FiniteDifference,
     Pin,
+    Radau,
     RigidBody,
     Scene,
     Terminal,
     drop_redundant,
+    equilibrium,
     gradient,
+    modes,
+    simulate,
 )
 from ancfdae.errors import InvalidInputError
 from ancfdae.observables import position
+from ancfdae.results import Verdict
 
 LENGTH, CRANK, COUPLER, GRAVITY, END = 1.0, 1.0, 2.0, (1.0, -9.81), 0.8
 INERTIA, COUNT = 0.1, 3
@@ -90,3 +96,38 @@ def test_a_link_among_three_is_left_out() -> None:
     np.testing.assert_allclose(found.gradient, slope, rtol=1e-6)
     with pytest.raises(InvalidInputError, match="link"):
         gradient(scene, x, END, HHT(2**-6), design=["link0.length", "link1.length"])
+
+
+def test_designs_at_which_equations_left_out_open_are_refused():
+    machine = parallelogram(links=True)
+    other = machine.with_values({"link1.length": 1.02 * LENGTH})
+    for call in (
+        lambda: simulate(other, END, HHT(0.02)),
+        lambda: simulate(other, END, DOP853(1e-8)),
+        lambda: modes(other),
+        lambda: equilibrium(other),
+    ):
+        with pytest.raises(InvalidInputError, match=r"joint 'link\d' open by"):
+            call()
+    cost = Terminal(position(machine.bodies[0].origin, 0))
+    with pytest.raises(InvalidInputError, match="open by"):
+        gradient(
+            machine, cost, END, HHT(0.02), design=["link1.length"], method=FiniteDifference(1e-3)
+        )
+    assert simulate(machine, END, HHT(0.02)).outcome.success
+
+
+@pytest.mark.parametrize("integrator", [HHT(0.01), Radau(0.05), DOP853(1e-8), HHT(rtol=1e-4)])
+def test_a_run_ends_where_an_equation_left_out_opens(integrator):
+    """Three links that close where they start, and nowhere else: the third has another ground."""
+    coupler = RigidBody("coupler", (1.0, LENGTH), mass=COUPLER, inertia=1.0)
+    links = [
+        Distance(coupler.at(k - 1.0, 0.0), LENGTH, ground=(float(k), 0.0), name=f"link{k}")
+        for k in range(2)
+    ]
+    third = Distance(coupler.at(1.0, 0.0), LENGTH / 2, ground=(2.0, LENGTH / 2), name="link2")
+    scene = Scene([], [*links, third], GRAVITY, bodies=[coupler], left_out=[("link2", 0)])
+    run = simulate(scene, END, integrator)
+    assert run.outcome.verdict is Verdict.OPENED
+    assert "'link2' open by" in str(run.outcome)
+    assert run.t[-1] < 0.2

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from ancfdae import HHT, Integral, SmoothMaximum, error_bars, gradient, simulate
+from ancfdae import DOP853, HHT, Integral, SmoothMaximum, error_bars, gradient, simulate
 from ancfdae.errors import InvalidInputError
 from ancfdae.numerics.enclosures import Interval, enclosed, values
 from ancfdae.numerics.operations import Operations, Traced
@@ -12,7 +12,7 @@ from ancfdae.observables import custom
 from ancfdae.studies.accuracy import places
 from ancfdae.studies.accuracy.features import _timeless
 from ancfdae.studies.accuracy.places import Seen, Witness
-from tests.support.mechanisms import CartesianPendulum
+from tests.support.mechanisms import CartesianPendulum, GuidedDoublePendulum
 from tests.support.springs import Mass
 
 SQUARE = custom(lambda t, q, v, lam, b: q[:, 0] ** 2)
@@ -283,3 +283,28 @@ def test_a_path_goes_through_the_values_and_slopes_of_its_times():
     moved = path.at(n, np.full(4, 0.3 + 1e-6)) - path.at(n, np.full(4, 0.3 - 1e-6))
     rates = moved / (2e-6 * np.diff(t))
     np.testing.assert_allclose(path.rates(n, np.full(4, 0.3)), rates, rtol=1e-7, atol=1e-9)
+
+
+class Notched(GuidedDoublePendulum):
+    """A force of a thousandth of the travel's width acts on the first angle."""
+
+    def force(self, t, q, v):
+        notch = 20.0 * np.exp(-(((q[0] - 0.1) / 1e-3) ** 2))
+        return super().force(t, q, v) + notch * np.array([1.0, 0.0])
+
+
+@pytest.mark.parametrize(("kind", "smooth"), [(GuidedDoublePendulum, True), (Notched, False)])
+def test_dense_times_are_samples_enough_where_functions_are_smooth(kind, smooth, monkeypatch):
+    """DOP853 gives 1,025 times for some fifty steps; only a notch needs more samples."""
+    run = simulate(kind(), 1.5, DOP853(1e-8, intervals=128))
+    seen, of = [], places._Chords.of
+
+    def counted(known, t, function):
+        seen.append((len(known), len(t)))
+        return of(known, t, function)
+
+    monkeypatch.setattr(places._Chords, "of", staticmethod(counted))
+    found = Witness(kind(), (), 1e-6).of(run, 50)
+    assert bool(found.parts) is not smooth
+    assert {known for known, _ in seen} == {1025}
+    assert (max(count for _, count in seen) == 1025) is smooth

@@ -17,13 +17,18 @@ from ancfdae import (
     Adjoint,
     DirectDifferentiation,
     Integral,
+    Pin,
     PrescribedSteps,
+    RigidBody,
+    Scene,
+    assemble,
     gradient,
+    simulate,
     work_precision,
 )
 from ancfdae.errors import Interrupted, InvalidInputError, TargetNotReachedError
 from ancfdae.model.bodies import MaterialPoint
-from ancfdae.observables import custom, kinetic_energy, position, strain_energy
+from ancfdae.observables import angular_velocity, custom, kinetic_energy, position, strain_energy
 from ancfdae.results import MeasuredSetting, WorkPrecision
 from tests.support.mechanisms import CartesianPendulum
 from validation.scenes import pendulum
@@ -342,3 +347,32 @@ def test_a_reference_that_fails_otherwise_is_to_be_loosened():
     with pytest.raises(InvalidInputError, match="Loosen it") as caught:
         work_precision(CartesianPendulum(), X2, 1.0, [HHT(2.0**-4)], reference=reference)
     assert "max_steps" not in str(caught.value)
+
+
+def swinging(place):
+    """A rod of one metre that swings from level about a pin at (place, -place)."""
+    rod = RigidBody("rod", (place + 0.5, -place), mass=2.0, inertia=0.2)
+    pin = Pin(rod.at(-0.5, 0.0), ground=(place, -place))
+    return Scene([], [pin], (0.0, -9.81), bodies=[rod])
+
+
+def test_errors_do_not_depend_on_the_place_of_a_scene():
+    rows = []
+    for place in (0.0, 1e3):
+        scene = swinging(place)
+        speed = angular_velocity(scene.bodies[0].at(0.0, 0.0))
+        call = scene, Integral(speed**2), 0.5, [HHT(2.0**-6)]
+        found = work_precision(*call, design=["rod.mass"], reference=DOP853(1e-9))
+        rows.append(found.rows[0])
+    near, far = rows
+    assert far.states == pytest.approx(near.states, rel=1e-4)
+    assert far.multipliers == pytest.approx(near.multipliers, rel=1e-4)
+    assert far.drift < 1e-11
+    # By hand: positions count from the centre of mass at the start.
+    scene = swinging(0.0)
+    run, exact = (simulate(scene, 0.5, i) for i in (HHT(2.0**-6), DOP853(1e-9)))
+    root, moved = np.sqrt(assemble(scene).weights), exact.at(run.t).q
+    away = np.max(np.linalg.norm((run.q - moved) * root, axis=1))
+    moved[:, :2] -= (0.5, 0.0)
+    expected = away / np.max(np.linalg.norm(moved * root, axis=1))
+    assert near.states == pytest.approx(expected, rel=2e-2)

@@ -8,7 +8,9 @@ With x_b and lam_b of the stages, and (i) for matrices linearised at stage i,
 
 solved with the exact matrix of the stages, which are then completed. The backward pass uses the
 same matrices, transposed, in reverse order. Velocities, accelerations and multipliers of the stages
-before completion are not part of a solution; they follow from the positions.
+before completion are not part of a solution; they follow from the positions. V is the completed v
+less v - V, which differences of positions give: their round-off over h, far from the origin more
+than the speeds at which friction sticks, then acts across the constraints only.
 
 **Stages completed.** From positions q on the constraints and velocities V that may violate theirs,
 
@@ -231,6 +233,7 @@ class LinearStages:
         x = (states[0][:, 1:] - q_0 - size * PLACES * v_0) / size**2
         rough = np.concatenate(v_0 + size * (INVERSE @ x)), np.concatenate(SQUARED @ x)
         stages, moved = kernel.found(times, q, *rough)
+        stages = stages._replace(v=v - moved[0])
         completion = Completion.of(system, times, (q, v, a, lam), moved)
         local, end = system.linearise(times, *stages), completion.local
         held_q, rates = completion.held_q, completion.rates

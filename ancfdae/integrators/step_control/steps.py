@@ -399,7 +399,7 @@ _SLOWER, _FASTER = 0.5, 1.5
 _LEAST_SHARE = 0.3
 # Number of hundreds of steps that must predict too many steps before a warning.
 _HUNDREDS = 20
-# A run creeps if it would need more than _CREEP times `max_steps` at the mean pace of so many
+# A run creeps if it would need more than _CREEP times `max_steps` at the mean pace of _CREEPING
 # hundreds of steps.
 _CREEPING, _CREEP = 50, 100
 
@@ -412,7 +412,7 @@ class Pace:
     the solver is `sure` of its first steps, the first hundred suffices. Short steps around a kick,
     at a start from rest, or where round-off disturbs some, do not predict the number of later
     steps. A run ends if the last 5,000 steps predict more than 100 times `max_steps`; `advice`
-    then tells in words how far these steps came and what to do.
+    then says how far these steps came and what to do.
     """
 
     advice = ""

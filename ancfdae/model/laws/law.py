@@ -383,6 +383,7 @@ class UserLaw(Law):
             try:
                 values = self.derivative(p, _TRIED, 0)
                 plain = self.function(_TRIED, *p) + 0 * _TRIED
+                plain = np.where(np.abs(plain) > _LARGEST, np.inf, plain)
             except FAILURES as error:
                 if isinstance(error, InvalidInputError):
                     raise

@@ -39,6 +39,9 @@ from ancfdae.numerics.vector_formulas import angle, concatenate, cross, dot, pos
 _LONG, _FINE, _PLACES = 0.1, 8, (33, 4096)
 # Squared length of a tangent, over the squared distance of the centres, that counts as zero.
 _LEAST = 1e-12
+# Strain at which a rope counts as taut: a rope of its unstretched length, as by default at the
+# start, is taut in every derivative, whatever the round-off of its length.
+_JUST_TAUT = 2.0**-46
 
 # : A point of a body, or a position on the ground.
 Place: TypeAlias = MaterialPoint | Sequence[float]
@@ -480,7 +483,8 @@ class Rope(Load):
         l_t = 0.0
         if self.payout is not None:
             l, l_t = l + signals[..., 0, None, None], signals[..., 1, None, None]
-        T = positive(stiffness * (L / l - 1) + damping * (rate - L / l * l_t) / l)
+        strain = L / l - 1 + _JUST_TAUT
+        T = positive(stiffness * strain + damping * (rate - L / l * l_t) / l)
         if slip_speed is None:
             return [T] * len(reeving.spans)
         return self._shared(T, reeving, rate - l_t, slip_speed, p)

@@ -220,7 +220,9 @@ class AtTimes(AtInstants):
     """Sum of the values of an observable at given times.
 
     Between the time points the observable is interpolated with the order of the integrator, for
-    HHT by the cubic through four of them (docs/theory/07-objectives.md).
+    HHT by the cubic through four of them (docs/theory/07-objectives.md). At the time of an event,
+    to 1e-12 of the run, the value is that before the event, with a warning
+    (`UnlikelyValueWarning`): the value or its derivative may jump there.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ _STOPS, _APART, _ALL = 12, 0.25, 1800
 _COPIES, _TIMES = 4, 65
 # Degree up to which polynomials of observables change no more suddenly than the observables.
 _LOW: Final = 4
-# Samples of the motion in each interval of a path whose times are those of steps.
+# Samples of the motion in each interval between the times of a path that is not dense.
 _PARTS: Final = 4
 # Number of stages of Radau IIA.
 _STAGES: Final = 3
