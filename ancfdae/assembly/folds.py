@@ -30,7 +30,7 @@ summed over the elements of a beam (and over states of a motion), kappa and thet
 reference. In a beam without tension the first term is 1.2 (l/h)^2 (phi^3/1920)^2 + phi^4/180.
 Both parts grow as phi^4, and phi with the load: at given loads the energy errs by about 5 eta, and
 its derivative in the stiffness or in a load by up to 25 eta. The loss is the part of a deflection
-that is missing, but for a factor of 0.3 to 1 where some of eps_n is of degree one or two.
+that is missing, or 0.2 to 1 times it: strains of degree one and two resist bending, too.
 
 Elements that are curved in the reference lock at small loads, too. Where they turn by phi_o there,
 e = x^2/(1 + x^2), x = (l/r) phi_o^3/380 with the radius of gyration r of the section, is the part
@@ -235,7 +235,7 @@ class _Alike:
         """Return terms of eta (module docstring) of each beam, (4, n_beams); N m.
 
         Sums of int E A eps_n^2 + E I kappa^2 phi^4/180 ds, of theta m, of m K^-1 m, and U; zeros
-        for beams that tension shapes, or that are hardly bent.
+        for beams that tension shapes, and for those that are not bent.
         """
         X = Z[self._ends]
         r_x = self._tangents(X)
@@ -270,7 +270,7 @@ class _Alike:
         return np.where(ignored, 0.0, np.stack(found))
 
     def curved(self) -> Array:
-        """Return the part e of the deflection that each beam lacks by its unloaded curvature."""
+        """Return the part e of the deflection that curved beams lack when unloaded, (n_beams,)."""
         bent = _square(self._turns_o)
         thin = (bent * self._EA / self._EI).sum(axis=1) * self._lengths[:, 0] ** 2
         x = thin * bent.sum(axis=1) ** 2 / _ARCH**2

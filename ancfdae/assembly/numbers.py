@@ -51,11 +51,17 @@ from ancfdae.assembly.load_forces import LoadForces, LoadInput
 from ancfdae.assembly.numbering import Numbering, number
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.model.design import DesignVariable
+from ancfdae.model.elements import ElementParameter
 from ancfdae.model.parts import Elements
 from ancfdae.model.scene import Scene
 from ancfdae.model.scene_design import SCENE
+from ancfdae.model.sections.section import central_moments
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import SparsityPattern
+
+# Elements longer than this multiple of the radius of gyration (14 heights of a rectangle) can miss
+# 2 % of a deflection by membrane locking before they turn by a radian (docs/measurements.md).
+_SLENDER = 50.0
 
 
 @np.errstate(all="ignore")
@@ -134,8 +140,9 @@ class Structure:
 
     `soft` maps the design to the flexible elements, which have `forms` and the indices `places` in
     the pattern. `constraint_names` are the joints of the equations, `reach` is the largest
-    coordinate, in m, of a position on the ground that a load refers to. `masses` caches masses of
-    rigid bodies, rigid beams and point masses.
+    coordinate, in m, of a position on the ground that a load refers to. `slender` is whether an
+    element is more than _SLENDER times as long as the radius of gyration of its section at the
+    declared design. `masses` caches masses of rigid bodies, rigid beams and point masses.
     """
 
     scene: Scene
@@ -149,6 +156,7 @@ class Structure:
     places: ElementPlaces
     constraint_names: tuple[str, ...]
     reach: float
+    slender: bool
     masses: KnownMasses = field(default_factory=dict)
 
     @staticmethod
@@ -180,8 +188,16 @@ class Structure:
             if name.startswith(("ground_", "obstacle_place_", "start_", "end_", "pulley_"))
         )
         reach = max(of_ground, default=0.0)
+        slender = False
+        for k, (_, kind) in enumerate(forms.kinds):
+            own = np.unique(soft.base[forms.kind == k], axis=0)
+            y, z, dA = kind.section.points(kind.sizes(own), False)
+            radii = central_moments(y, z, dA)[1] / np.sum(dA, axis=1, keepdims=True)
+            lengths = own[:, ElementParameter.LENGTH, None]
+            slender |= bool(np.any(lengths**2 > _SLENDER**2 * radii[:, : numbering.d - 1]))
+        grid = pattern, places, names
         return Structure(
-            scene, design, mapping, numbering, layout, soft, forms, pattern, places, names, reach
+            scene, design, mapping, numbering, layout, soft, forms, *grid, reach, slender
         )
 
     def reaches(self, owners: Iterable[str]) -> Array:

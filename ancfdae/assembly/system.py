@@ -153,6 +153,7 @@ class AncfSystem(PlannedSystem):
             breakpoints=self.inputs.breakpoints,
             leaves_out=any(map(leaves_out, self._scene.loads)),
             rows_left_out=len(self._scene.left_out) > 0,
+            slender=self._structure.slender,
         )
 
     def breakpoints(self, t_end: float) -> tuple[float, ...]:

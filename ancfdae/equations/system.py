@@ -105,6 +105,9 @@ class SystemProperties:
     rows_left_out : bool
         Whether redundant equations of joints are left out, which a change of the design may break:
         derivatives call `require_derivatives_at`.
+    slender : bool
+        Whether flexible elements are so long for their height that membrane locking is possible;
+        gradients of runs then check their meshes.
     force_round_off : float
         Round-off of Q in the norm sqrt(sum Q^2 / weights); zero if it is the round-off of Q
         itself. Newton corrections that stop decreasing at this level are accepted.
@@ -122,6 +125,7 @@ class SystemProperties:
     routed: bool = False
     leaves_out: bool = False
     rows_left_out: bool = False
+    slender: bool = False
     force_round_off: float = 0.0
     breakpoints: tuple[float, ...] = ()
 

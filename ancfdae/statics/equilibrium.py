@@ -258,7 +258,7 @@ def warn_of_mesh(
     warnings.warn(
         f"{call}: too few elements for the bending of {listed(map(repr, coarse))}: "
         f"{100 * worst / (1 + worst):.2g} % of the energy is an error of the mesh. Values err by "
-        "about five times as much, derivatives by up to twenty-five times. Double the number of "
+        "one to six times as much, derivatives by up to twenty-five times. Double the number of "
         "elements until this warning is gone.",
         CoarseMeshWarning,
         stacklevel=stacklevel,

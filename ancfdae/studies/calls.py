@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 
 # Number of states of a run at which strains are checked, with the end: all would cost half a run.
 _LOOKS = 9
+# Number of states of a run, the last one included, in which a gradient checks its mesh.
+_FEW_LOOKS = 3
 
 
 @overload
@@ -369,6 +371,9 @@ def gradient(
     -----
     StabilityWarning
         If the estimated errors of the run are larger than its motion.
+    CoarseMeshWarning
+        If thin beams (elements longer than 14 heights) have too few elements for their curvature in
+        the middle or at the end of the run. `simulate` checks all beams, at nine times.
     ToleranceWarning
         If the tolerance cannot be reached; the most accurate gradient found is returned.
     """
@@ -444,7 +449,10 @@ def gradients(
         found = method.gradients(run, objectives)
     except UnfinishedRunError as error:
         raise UnfinishedRunError(with_remedies(model, run, error.solution)) from error
-    _is_off(system, found[0].solution, 4)
+    solution = found[0].solution
+    if not _is_off(system, solution, 4) and system.traits.slender:
+        some = np.linspace(0, len(solution.q) - 1, 1 + _FEW_LOOKS).round().astype(int)[1:]
+        warn_of_mesh("gradient", system, solution.q[some], stacklevel=4, moving=True)
     return found
 
 

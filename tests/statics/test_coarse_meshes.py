@@ -21,11 +21,13 @@ from ancfdae import (
     Pin,
     PointForce,
     Scene,
+    Terminal,
     Weld,
     assemble,
     critical_load,
     equilibrium,
     equilibrium_gradient,
+    gradient,
     modes,
     simulate,
 )
@@ -209,3 +211,14 @@ def test_a_bar_that_vibrates_along_its_axis_is_no_coarse_mesh():
     weight = Scene([rod], [Clamp(rod.at_start)], (0, -1e-3), loads=[pull])
     _, told = warned(lambda: simulate(weight, 2e-3, HHT(1e-5)))
     assert not told
+
+
+@pytest.mark.parametrize(("n", "told"), [(1, True), (2, True), (4, False)])
+def test_gradients_of_runs_of_thin_beams_of_few_elements_are_warned_of(n, told):
+    rod, scene = cantilever(2e-3, n, -0.1, damping_time=1e-3)
+    end = Terminal(position(rod.at_end, 1))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        gradient(scene, end, 0.6, HHT(2e-3), design=["rod.height"])
+    assert [x.category for x in caught] == [CoarseMeshWarning] * told
+    assert all(x.filename == __file__ for x in caught)
