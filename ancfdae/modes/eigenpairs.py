@@ -55,9 +55,10 @@ def rigid_motions(small: Linearised) -> Array:
 
 
 def _unseen(small: Linearised, R: Array) -> Array:
-    """Return the rigid motions in the span of R that no state measures: rows of K of states vanish.
+    """Return the rigid motions that no state measures, shape (n_q, m), in the span of R, (n_q, k).
 
-    A position that acts through a state only has no stiffness of its own, and is not free.
+    Rows of K of states vanish for them. A position that acts through a state only has no stiffness
+    of its own, and is not free.
     """
     if not (len(small.idle) and R.size):
         return R
