@@ -17,6 +17,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.integrators.recorder import Rows
+from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 
 # Distances from a zero, as fractions of the step, at which values are compared; least ratio of
@@ -28,6 +29,8 @@ _DIP, _DEEP, _BESIDE = 0.5, 0.02, 1.5
 # A divisor counts as zero below this fraction of its larger value at the ends; before, it must fall
 # in proportion to the distance of neighbouring points, times _SLOW.
 _ZERO, _SLOW = 1e-13, 8.0
+# A step that moves coordinates by less than this part of their size is looked at on a longer path.
+_SEEN = 1e-7
 # Parts into which the interval of a zero is divided, and number of divisions.
 _PARTS, _DIVISIONS = 128, 6
 
@@ -40,7 +43,7 @@ def passed_pole(system: MechanicalSystem, rows: Rows) -> tuple[int, str] | None:
     at_ends, within = (system.divisors(*x) for x in (rows, _middles(rows)))
     for owner, x in at_ends.items():
         for k, which in np.argwhere(_may_vanish(x[:-1], within[owner], x[1:])).tolist():
-            step = Rows(*(each[k : k + 2] for each in rows))
+            step = _widened(system, Rows(*(each[k : k + 2] for each in rows)))
             place = _zero(system, step, owner, which)
             if place is not None and _infinite(system, step, place):
                 found.append((k, _words(step, owner, place)))
@@ -86,6 +89,20 @@ def _zero(system: MechanicalSystem, step: Rows, owner: str, which: int) -> float
         if not len(changes) and abs(x[k]) > _SLOW * max(allowed, _ZERO) * size:
             return None
     return (low + high) / 2
+
+
+def _widened(system: MechanicalSystem, step: Rows) -> Rows:
+    """Return a step in which coordinates move by more than their last digits: itself, or a longer.
+
+    The longer one leads straight through the middle of a step so short that round-off hides the
+    pole, as steps under error control become beside one.
+    """
+    w, middle = system.weights, Rows(*(each.mean(axis=0) for each in step))
+    size, speed = norm(middle.q, w), norm(middle.v, w)
+    if norm(step.q[1] - step.q[0], w) > _SEEN * size or not speed:
+        return step
+    half = _SEEN * size / speed * np.array([-1.0, 1.0])
+    return Rows(middle.t + half, middle.q + half[:, None] * middle.v, np.tile(middle.v, (2, 1)))
 
 
 def _path(step: Rows, s: Array) -> Rows:
