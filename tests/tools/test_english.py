@@ -76,7 +76,7 @@ AT_MOST: dict[str, int] = {
     "opens with what": 41,
     "as far as": 4,
     "is none": 43,
-    "that of, those of": 354,
+    "that of, those of": 353,
     "inversion": 1,
     "tells": 49,
     "all of them": 32,
