@@ -93,9 +93,7 @@ OPENED: Final = (
 
 
 def refuse_opened(system: MechanicalSystem, t: float, q: Array) -> None:
-    """Raise InvalidInputError if q opens joints of which equations are left out."""
-    if not system.traits.rows_left_out:
-        return
+    """Raise InvalidInputError if q opens joints of a system with `rows_left_out`."""
     opened = system.opened(np.array([t]), q[None])
     if opened is not None:
         rule = "joints whose equations are left out must close by the others"

@@ -95,7 +95,8 @@ def consistent_start(
         moved = norm(q - declared, system.weights) > _CLOSED * norm(declared, system.weights)
         if moved and not system.traits.linear_constraints:
             refuse_redundant(system, matrices, system.constraint_q(t, q))
-        refuse_opened(system, t, q)
+        if system.traits.rows_left_out:
+            refuse_opened(system, t, q)
         if factors is None:
             factors = _factor_mass(system, matrices, q, t)
         side = velocity_side(system, t, q)

@@ -242,7 +242,7 @@ def advice(system: MechanicalSystem, t: float, q: Array, v: Array, lam: Array) -
     """
     if system.n_q > _QUICK:
         return ""
-    system = about_states(system, v)
+    system = about_states(system, q, v)
     try:
         with np.errstate(all="ignore"):
             near = suggestion(system, LinearisationPoint(q, lam, t=t), 1.0, None)

@@ -180,7 +180,8 @@ def differentiate(
         if not _drifts(small, pairs, group):
             Y = left_vectors(small, pairs, mu, group)
             z_b[group] = _values_b(small, pairs, group, Y, np.einsum("ki,kjb->bij", Y, R_b))
-        if len(group) == 1:
+        # A motion at zero beside the integrals of states, at zero too, has no shape of its own.
+        if len(group) == 1 and not (len(small.idle) and pairs.z[group[0]] == 0):
             j = group[0]
             X_b[j] = _shape_b(small, pairs.z[j], pairs.X[:, j], z_b[j], R_b[:, 0])
     return z_b, tuple(X_b)

@@ -50,8 +50,25 @@ def rigid_motions(small: Linearised) -> Array:
             X = distinct(X, small.times(small.M, X))
         R, _ = separated(small, _soft(small, X))
         if R.shape[1] < count or count == most:
-            return np.hstack([known, R])
+            return np.hstack([known, _unseen(small, R)])
         count *= _MORE
+
+
+def _unseen(small: Linearised, R: Array) -> Array:
+    """Return the rigid motions that no state measures, shape (n_q, m), in the span of R, (n_q, k).
+
+    Rows of K of states vanish for them. A position that acts through a state only has no stiffness
+    of its own, and is not free.
+    """
+    if not (len(small.idle) and R.size):
+        return R
+    root = np.sqrt(small.system.weights)[:, None]
+    seen, sizes = (
+        (small.times(K, x) / root)[small.idle] for K, x in ((small.K, R), (abs(small.K), abs(R)))
+    )
+    _, left, Vt = np.linalg.svd(seen)
+    left = np.append(left, np.zeros(R.shape[1]))[: R.shape[1]]
+    return np.asarray(R @ Vt[left <= ROUND_OFF * EPS * np.linalg.norm(sizes)].T)
 
 
 def distinct(X: Array, weighted: Array) -> Array:

@@ -220,17 +220,19 @@ def _weights_at_rest(base: MechanicalSystem) -> Array:
 class Held(ControlledSystem):
     """A controlled system about the states x of an equilibrium, x_b, (n_q, n_b), their derivatives.
 
-    x, (n_q,), is zero where velocities are no states; see the module.
+    x, (n_q,), is zero where velocities are no states; see the module. Rows of states are multiplied
+    by `scale`, (n_q,), which changes no motion: their masses belong to the start, where a
+    controller may act with another slope than here.
     """
 
-    def __init__(self, base: MechanicalSystem, x: Array, x_b: Array) -> None:
-        super().__init__(base, base.weights)
-        self.state_places, self._x, self._x_b = base.state_places, x, x_b
+    def __init__(self, base: MechanicalSystem, x: Array, x_b: Array, scale: Array) -> None:
+        super().__init__(base, base.weights * scale)
+        self.state_places, self._x, self._x_b, self._scale = base.state_places, x, x_b, scale
 
     def with_values(self, b: Array) -> Held:
         """Return the same system at other values b; the states follow along their derivatives."""
         x = self._x + self._x_b @ (np.asarray(b) - self.b)
-        return Held(self.base.with_values(b), x, self._x_b)
+        return Held(self.base.with_values(b), x, self._x_b, self._scale)
 
     def _rates(self, q: Array, v: Array) -> Array:
         return v + self._x
@@ -238,17 +240,32 @@ class Held(ControlledSystem):
     def _rates_along(self, dq: Array, dv: Array) -> Array:
         return dv
 
+    def mass(self, q: Array) -> Array:
+        """Return the values of M of the base with scaled rows, (nnz,)."""
+        return super().mass(q) * self._scale[self.pattern.rows]
+
+    def force(self, t: float, q: Array, v: Array) -> Array:
+        """Return Q of the base about its states with scaled rows, (n_q,)."""
+        return super().force(t, q, v) * self._scale
+
+    def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
+        """Return the derivative of `force` along a direction, (n_q,)."""
+        return super().force_along(t, q, v, direction) * self._scale
+
     def linearise(self, t: Array, q: Array, v: Array | None, a: Array, lam: Array) -> Linearisation:
-        """Return the Jacobians of f and Phi of the base at k times."""
-        return self.base.linearise(t, q, None if v is None else v + self._x, a, lam)
+        """Return the Jacobians of f and Phi of the base at k times, with scaled rows of f."""
+        at = self.base.linearise(t, q, None if v is None else v + self._x, a, lam)
+        scale = self._scale[self.pattern.rows]
+        f_v = None if at.f_v is None else at.f_v * scale
+        return Linearisation(at.M * scale, at.f_q * scale, f_v, at.Phi_q)
 
 
 def about_states(
-    system: MechanicalSystem, v: Array | None, v_b: Array | None = None
+    system: MechanicalSystem, q: Array, v: Array | None, v_b: Array | None = None
 ) -> MechanicalSystem:
     """Return a system with controllers about the states in v, and others as they are.
 
-    v is (n_q,) and v_b, its design derivatives, (n_q, n_b); None for zero.
+    q and v are (n_q,), and v_b, the design derivatives of v, (n_q, n_b); None for zero.
     """
     places = system.state_places
     if not len(places):
@@ -258,4 +275,27 @@ def about_states(
         x[places] = v[places]
     if v_b is not None:
         x_b[places] = v_b[places]
-    return Held(system, x, x_b)
+    return Held(system, x, x_b, _balance(system, q, x))
+
+
+def _balance(system: MechanicalSystem, q: Array, x: Array) -> Array:
+    """Return factors of the masses of states after which the loop is balanced at q, x, (n_q,).
+
+    With Q_x, f_q and f_v there, in the norm of the inverse weights, the mass of a state is (g T)^2
+    as at the start (docs/theory/17-controllers.md). States beside one of these stay as they are.
+    """
+    none, pattern, weights = np.zeros((1, system.n_lam)), system.pattern, system.weights
+    at = system.linearise(np.zeros(1), q.real[None], x[None], 0 * q.real[None], none)
+    assert at.f_v is not None
+    scale, root = np.ones(system.n_q), np.sqrt(weights)
+    f_q, f_v = (pattern.csr(only(each).real) for each in (at.f_q, at.f_v))
+    mechanism = np.ones(system.n_q, dtype=bool)
+    mechanism[idle_of(system)] = False
+    for k in system.state_places.tolist():
+        w = weights[k]
+        g = np.linalg.norm((f_v[:, [k]].toarray()[:, 0] / root)[mechanism])
+        e, d = (np.linalg.norm((x[[k]].toarray()[0] / root)[mechanism]) / w for x in (f_q, f_v))
+        rate = max(abs(f_v[k, k]) / w, np.sqrt(g * d), np.cbrt(g * e))
+        if g > 0 and rate > 0:
+            scale[k] = (g / rate) ** 2 / w
+    return scale

@@ -230,7 +230,7 @@ def find_equilibrium(
     if sensitivities and end.outcome.success:
         balance.work.factorisations += 1
         derivatives = Tangent(of, 0.0, end.q, end.lam).sensitivities()
-    if end.outcome.success:
+    if end.outcome.success and system.traits.rows_left_out:
         refuse_opened(of, 0.0, end.q)
     if end.outcome.success and not near:
         warn_of_mesh("equilibrium", system, end.q[None], stacklevel=5)

@@ -208,7 +208,7 @@ class HeldSystem:
                     return None
                 # Corrections that stop halving are round-off if they, or the forces, are small.
                 K, most = balance.tangent(1.0, q, lam), max(most, size)
-                small = size <= _CONVERGED * most or balance.is_round_off(R, K, q, lam)
+                small = size <= _CONVERGED * most or balance.is_round_off(R, K, q, lam, dq)
                 if size >= 0.5 * last and small:
                     exact = ExactProducts(system, 0.0, q, lam, K, dq)
                     return self._point(factors, exact, tau)

@@ -17,9 +17,11 @@ import numpy as np
 from ancfdae.equations.saddle_points import solve
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import Verdict
+from ancfdae.errors.text import listed
 from ancfdae.numerics.arrays import Array
 from ancfdae.statics.balance import Balance, Balanced, Unsolved
-from ancfdae.statics.outcome import EquilibriumOutcome, free_mechanism
+from ancfdae.statics.controlled import Steady
+from ancfdae.statics.outcome import EquilibriumOutcome, FreeMotionError, free_mechanism
 from ancfdae.statics.softness import Softness, softest
 
 # Least step of the load factor s; on a path that closes gaps of joints relative to s, and at least
@@ -245,6 +247,8 @@ class Settling:
 # -- the search --------------------------------------------------------------------------------
 
 
+# Part of a free motion in states of controllers above which it is theirs.
+_MAINLY = 0.7
 # Reasons for which a path ends that do not show that the load is too large.
 _FAILED = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.SINGULAR, Verdict.FOLDED)
 
@@ -319,8 +323,24 @@ def _unjudged(balance: Balance, first: Balanced | Unsolved, max_steps: int) -> S
     at = (end.q, end.lam) if end.outcome.success else (balance.q_0, balance.lam_0)
     free = softest(balance, 1.0, *at).free
     if free.shape[1]:
+        _refuse_free_states(balance, free)
         raise free_mechanism(balance.system.naming, at[0].real, free)
     return end
+
+
+def _refuse_free_states(balance: Balance, free: Array) -> None:
+    """Raise FreeMotionError that names controllers if mainly their states are free, (n_q, k)."""
+    system = balance.system
+    parts = np.sqrt(system.weights)[:, None] * free
+    of_states = np.linalg.norm(parts[system.state_places]) / np.linalg.norm(parts)
+    if isinstance(system, Steady) and of_states > _MAINLY:
+        raise FreeMotionError(
+            "equilibrium",
+            "every state of a controller must have one value at rest",
+            f"states of {listed(map(repr, system.base.controllers))} of which no force at rest "
+            "depends, or that no rate determines",
+            "Leave the state out, as of a PID without integral gain, or simulate the motion.",
+        )
 
 
 def _closed(

@@ -191,15 +191,15 @@ def suggest_step(
 At: TypeAlias = LinearisationPoint | Equilibrium | None
 
 
-def _states_of(system: MechanicalSystem, at: At) -> tuple[Array | None, Array | None]:
-    """Return velocities of a configuration with their design derivatives, for states in them."""
+def _states_of(system: MechanicalSystem, at: At) -> tuple[Array, Array | None, Array | None]:
+    """Return q and v of a configuration, and design derivatives of v, for states in v."""
     if at is None:
-        return system.start()[1], system.start_b()[1] if system.n_b else None
+        return *system.start(), system.start_b()[1] if system.n_b else None
     if isinstance(at, LinearisationPoint):
-        return at.v, at.v_b
+        return at.q, at.v, at.v_b
     if not (system.n_b and at.outcome.success):
-        return at.solution.v[0], None
-    return at.solution.v[0], Tangent.of(system, at.solution).sensitivities()[0]
+        return at.q, at.solution.v[0], None
+    return at.q, at.solution.v[0], Tangent.of(system, at.solution).sensitivities()[0]
 
 
 class DesignedConfiguration(abc.ABC):

@@ -110,7 +110,7 @@ def _judged_with_damping(system: MechanicalSystem, found: Equilibrium) -> Equili
     """Return an equilibrium whose outcome says if a motion grows with damping and controllers."""
     if system.traits.symmetric or not system.traits.velocity_forces:
         return found
-    about = about_states(system, found.solution.v[0])
+    about = about_states(system, found.q, found.solution.v[0])
     try:
         searched, grows = growth(about, LinearisationPoint(found.q, found.lam))
     except NoModes as error:

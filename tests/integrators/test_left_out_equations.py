@@ -60,7 +60,7 @@ def tip(t: float) -> np.ndarray:
 
 
 def test_locomotive_whose_third_crank_is_held_by_a_stiff_bushing_turns_as_one_coordinate() -> None:
-    """It passes the positions at which no choice of equations is regular, to a tight tolerance."""
+    """The run passes positions at which no choice of equations is regular, at a tight tolerance."""
     scene = locomotive()
     last = scene.joints[-1]
     soft = Bushing(last.point, (1e8, 1e8), (100.0, 100.0), other=last.other, name="tip2")

@@ -379,3 +379,51 @@ def test_a_step_follows_the_mechanism_with_its_gains():
     scene = bar_scene(i=0.0, r=0.0)
     period = 2 * np.pi / np.sqrt(P / (INERTIA + MASS * ARM**2))
     assert suggest_step(scene, 20.0).slowest == pytest.approx(period, rel=1e-9)
+
+
+# ---------------------------------------------------------------- loops without a stiffness
+
+
+@pytest.mark.parametrize(("damping", "filter_time"), [(2.0, 0.02), (0.5, 1e-3), (0.0, 0.02)])
+def test_a_position_that_acts_through_a_state_alone_is_not_free(damping, filter_time):
+    """The arm of docs/howto/control.md, whose torque is saturated at the start."""
+    arm = RigidBody("arm", (0, 0), mass=1.0, inertia=0.1)
+    servo = Limited(arm.origin, Constant(1.0), 10.0, damping, filter_time, 1.5, name="servo")
+    scene = Scene([], [Pin(arm.origin)], bodies=[arm], loads=[servo])
+    rest = equilibrium(scene)
+    roots = np.roots(np.polyadd(np.polymul([0.1, damping, 0.0], [filter_time, 1.0]), [10.0]))
+    found = modes(scene, 4, at=rest).exponents
+    assert len(found) == 2
+    for s in found:
+        assert s == pytest.approx(nearest(s, roots), rel=1e-8)
+    assert (rest.outcome.growth is None) == (max(roots.real) < 0)
+
+
+def test_an_integral_alone_drives_its_loop_unstable():
+    disc = RigidBody("disc", (0, 0), mass=1.0, inertia=0.19)
+    servo = PID(disc.origin, Constant(0.2), 0.0, 10.0, name="servo")
+    rest = equilibrium(Scene([], [Pin(disc.origin)], bodies=[disc], loads=[servo]))
+    roots = np.roots([0.19, 0.0, 0.0, 10.0])
+    assert rest.outcome.growth == pytest.approx(max(roots, key=lambda s: (s.real, s.imag)))
+
+
+def test_derivatives_of_the_poles_of_a_free_rotor():
+    J, R, L, k = 0.1, 1.5, 0.02, 0.08
+    rotor = RigidBody("rotor", (0, 0), mass=1.0, inertia=J)
+    motor = DCMotor(rotor.origin, Constant(0.0), R, L, k, name="m")
+    scene = Scene([], [Pin(rotor.origin)], bodies=[rotor], loads=[motor])
+    found = modes(scene, 3, design=["m.resistance", "m.inductance", "m.torque_constant"])
+    for s, s_b in zip(found.exponents, found.derivatives.exponents_b, strict=True):
+        if s == 0:
+            assert np.all(s_b == 0)
+            continue
+        # J L s^2 + J R s + k^2 = 0.
+        slope = 2 * J * L * s + J * R
+        assert s_b == pytest.approx(-np.array([J * s, J * s * s, 2 * k]) / slope, rel=1e-7)
+
+
+def test_a_state_without_a_value_at_rest_is_named():
+    disc = RigidBody("disc", (0, 0), mass=1.0, inertia=0.19)
+    servo = PID(disc.origin, Constant(0.2), 3.0, 0.0, 1.0, name="servo")
+    with pytest.raises(FreeMotionError, match="states of 'servo'"):
+        equilibrium(Scene([], [Pin(disc.origin)], bodies=[disc], loads=[servo]))

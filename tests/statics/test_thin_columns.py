@@ -127,3 +127,15 @@ def test_the_gradient_of_a_buckled_state_says_that_it_is_unstable(n: int) -> Non
     light = scene.with_values({"push.force_y": -1e3})
     slope = equilibrium_gradient(light, position(left.at_end, 1), design=["left.youngs_modulus"])
     assert str(slope.solution.outcome).endswith("steps).")
+
+
+def test_thick_column_of_many_short_elements_buckles_as_one_of_few() -> None:
+    """Elements of 1/200 of their height: forces round by more than the bound of sums of terms."""
+    h, found = 1 / 3, []
+    for n in (100, 600):
+        scene = column(h, n, width=2.0)
+        found.append(
+            critical_load(scene, "load.force_x", 1.2 * euler(h, 2.0), design=["column.height"])
+        )
+    assert found[1].value == pytest.approx(found[0].value, rel=1e-5)
+    np.testing.assert_allclose(found[1].gradient, found[0].gradient, rtol=2e-5)
