@@ -190,7 +190,7 @@ class Structure:
         reach = max(of_ground, default=0.0)
         slender = False
         for k, (_, kind) in enumerate(forms.kinds):
-            own = np.unique(soft.base[forms.kind == k], axis=0)
+            own = soft.base[forms.kind == k]
             y, z, dA = kind.section.points(kind.sizes(own), False)
             radii = central_moments(y, z, dA)[1] / np.sum(dA, axis=1, keepdims=True)
             lengths = own[:, ElementParameter.LENGTH, None]

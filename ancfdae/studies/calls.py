@@ -34,7 +34,6 @@ from ancfdae.sensitivity.method import (
 )
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.observable import Observable, states_of
-from ancfdae.statics.equilibrium import warn_of_mesh
 from ancfdae.studies.parts import Keep, RunOfParts
 from ancfdae.studies.remedies import with_remedies
 
@@ -180,6 +179,8 @@ def simulate(
 
 def _warn_of_states(system: MechanicalSystem, q: Array) -> None:
     """Warn the caller of `simulate` of few elements and of large strains in some of its states."""
+    from ancfdae.statics.equilibrium import warn_of_mesh
+
     some = q[np.linspace(0, len(q) - 1, min(len(q), _LOOKS)).round().astype(int)]
     warn_of_strains("simulate", system, some, stacklevel=4)
     warn_of_mesh("simulate", system, some, stacklevel=4, moving=True)
@@ -451,6 +452,8 @@ def gradients(
         raise UnfinishedRunError(with_remedies(model, run, error.solution)) from error
     solution = found[0].solution
     if not _is_off(system, solution, 4) and system.traits.slender:
+        from ancfdae.statics.equilibrium import warn_of_mesh
+
         some = np.linspace(0, len(solution.q) - 1, 1 + _FEW_LOOKS).round().astype(int)[1:]
         warn_of_mesh("gradient", system, solution.q[some], stacklevel=4, moving=True)
     return found
