@@ -23,6 +23,8 @@ _STUCK = frozenset(
         Verdict.OFF_ROOT,
         Verdict.FOLDED,
         Verdict.OFF_ROUTE,
+        Verdict.POLE,
+        Verdict.OPENED,
         Verdict.INDEFINITE,
     }
 )
