@@ -716,7 +716,7 @@ def test_arguments_that_do_not_fit_are_refused(wrong):
             "states": [np.ones((2, 2, 3, 4)), np.ones((2, 1, 11, 4)), np.ones((2, 2, 11, 5))],
         }[wrong]
         for value in bad:
-            with pytest.raises(ValueError, match=r"fit|lists|tuples|time"):
+            with pytest.raises(ValueError, match=r"fit|lists|type|time"):
                 found_at({**good, wrong: value})
 
 
