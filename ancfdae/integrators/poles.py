@@ -10,7 +10,9 @@ the zero is searched along the cubic through both ends. There
 
 with s the time as a fraction of the step. Multiplied by 1e3 is the left side of a pole of order
 one, by 1e-2 the right side of a smooth function, so that quotients whose numerator vanishes too,
-and poles of lower order, which a motion can cross, do not count.
+and poles of lower order, which a motion can cross, do not count. Round-off of a numerator that
+vanishes with its slope, as of (1 - cos y)/y^2, looks like a pole at d, but not closer to s, where
+the numerator is zero.
 """
 
 import numpy as np
@@ -20,9 +22,10 @@ from ancfdae.integrators.recorder import Rows
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 
-# Distances from a zero, as fractions of the step, at which values are compared; least ratio of
-# their differences at a pole, and round-off of values, relative to them.
-_NEAR, _GROWTH, _ROUND_OFF = (1e-6, 1e-3, 1e-1), 500.0, 1e-10
+# Distances from a zero, as fractions of the step, at which values are compared, least ratio of
+# their differences at a pole, and round-off of values, relative to them. At the first distance a
+# pole is _ABOVE times the value at a thousandth of the step.
+_NEAR, _GROWTH, _ROUND_OFF, _ABOVE = (1e-9, 1e-6, 1e-3, 1e-1), 500.0, 1e-10, 10.0
 # Largest value at the vertex of a parabola that may be zero, over the smaller and over the larger
 # value at the ends of a step, and distance of the vertex from the middle, over half the step.
 _DIP, _DEEP, _BESIDE = 0.5, 0.02, 1.5
@@ -116,8 +119,10 @@ def _infinite(system: MechanicalSystem, step: Rows, place: float) -> bool:
     """Return whether M, Q or Phi_q has a pole of order one or more at a fraction of a step."""
     for side in (-1.0, 1.0):
         for x in _values(system, _path(step, place + side * np.array(_NEAR))):
-            rise, before = np.linalg.norm(np.diff(x, axis=0), axis=1)
-            if rise > _GROWTH * max(before, _ROUND_OFF * np.linalg.norm(x[1])):
+            _, rise, before = np.linalg.norm(np.diff(x, axis=0), axis=1)
+            nearest, _, size, _ = np.linalg.norm(x, axis=1)
+            high = rise > _GROWTH * max(before, _ROUND_OFF * size)
+            if high and not nearest <= _ABOVE * size:
                 return True
     return False
 

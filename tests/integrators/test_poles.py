@@ -251,3 +251,26 @@ def test_divisors_are_factors_that_can_vanish(formula, divisors):
     at = np.array([0.7, 1.3, -0.4])
     found = numbers_of(formula)(at)
     assert sorted(found.tolist()) == pytest.approx(sorted(divisors(*at)))
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("place", [1.505393, 1.53, 1.55, 1.58])
+def test_error_control_ends_at_a_pole_that_its_shortest_steps_reach(place, rtol):
+    """x'' = k/(c - x): steps shrink to the last digits of x beside c, which x meets at a speed."""
+    system = Particle(lambda k, t, q, v: [1e-3 * k / (place - q[0])], [0.0], [1.0])
+    run = simulate(system, 3.0, Radau(rtol=rtol))
+    # Where the pole itself is not met, no step passes the error test.
+    assert run.outcome.verdict in (Verdict.POLE, Verdict.ERROR_TEST)
+    assert run.t[-1] == pytest.approx(place - 0.0015, abs=1e-3)
+
+
+@pytest.mark.parametrize("integrator", [HHT(0.01), Radau(0.05), Radau(rtol=1e-6), DOP853(1e-7)])
+@pytest.mark.parametrize("place", [0.53, 1.53, 101.53])
+def test_a_numerator_that_vanishes_with_its_slope_is_no_pole(place, integrator):
+    """(1 - cos y)/y^2 = 1/2 - y^2/24 ...: y = q - c has the round-off of q and c."""
+
+    def force(k, t, q, v):
+        return [k * (1 - np.cos(q[0] - place)) / (q[0] - place) ** 2]
+
+    system = Particle(force, [place - 0.53], [1.0])
+    assert simulate(system, 1.0, integrator).outcome.success
