@@ -22,6 +22,7 @@ from typing import Any, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.meshes import warn_of_mesh
 from ancfdae.equations.saddle_points import (
     force_total,
     held_total,
@@ -38,12 +39,11 @@ from ancfdae.equations.solution_parts import (
 )
 from ancfdae.errors.kinds import (
     AncfdaeError,
-    CoarseMeshWarning,
     StabilityWarning,
     UnlikelyValueWarning,
 )
 from ancfdae.errors.outcomes import Verdict, uninterrupted
-from ancfdae.errors.text import PrintedTable, TableText, listed
+from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization
 from ancfdae.numerics.threads import in_one_thread
@@ -245,24 +245,6 @@ def find_equilibrium(
     if solution.sensitivities is not None:
         q_b = solution.sensitivities.q_b[0]
     return Equilibrium(solution.q[0], end.lam, end.outcome, solution, q_b, lam_b)
-
-
-def warn_of_mesh(
-    call: str, system: MechanicalSystem, states: Array, stacklevel: int, moving: bool = False
-) -> None:
-    """Warn of beams that have too few elements for their curvature in states, rows of q."""
-    coarse = system.coarse(states, moving)
-    if not coarse:
-        return
-    worst = max(coarse.values())
-    warnings.warn(
-        f"{call}: too few elements for the bending of {listed(map(repr, coarse))}: "
-        f"{100 * worst / (1 + worst):.2g} % of the energy is an error of the mesh. Values err by "
-        "one to six times as much, derivatives by up to twenty-five times. Double the number of "
-        "elements until this warning is gone.",
-        CoarseMeshWarning,
-        stacklevel=stacklevel,
-    )
 
 
 def _warn_of_passage(system: MechanicalSystem, q: Array) -> None:

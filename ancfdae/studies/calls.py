@@ -11,6 +11,7 @@ import numpy as np
 from ancfdae.assembly.system import AncfSystem, assemble
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.event_solution import EventSolution
+from ancfdae.equations.meshes import warn_of_mesh
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.checks import require_kind, require_positive, require_sequence
 from ancfdae.errors.kinds import InvalidInputError, LargeStrainWarning, StabilityWarning
@@ -107,7 +108,8 @@ def simulate(
     (`StabilityWarning`), of very many steps under error control (`ManyStepsWarning`), and of a
     tolerance that cannot be reached (`ToleranceWarning`). Beams strained beyond the validity of
     their elements at one of nine times, the end included, give a `LargeStrainWarning`; those with
-    too few elements for their curvature at these times give a `CoarseMeshWarning`.
+    too few elements for their curvature at these times give a `CoarseMeshWarning` (thick beams at
+    three of them).
 
     Parameters
     ----------
@@ -179,11 +181,11 @@ def simulate(
 
 def _warn_of_states(system: MechanicalSystem, q: Array) -> None:
     """Warn the caller of `simulate` of few elements and of large strains in some of its states."""
-    from ancfdae.statics.equilibrium import warn_of_mesh
-
     some = q[np.linspace(0, len(q) - 1, min(len(q), _LOOKS)).round().astype(int)]
     warn_of_strains("simulate", system, some, stacklevel=4)
-    warn_of_mesh("simulate", system, some, stacklevel=4, moving=True)
+    # Thin beams may lock in a few states only.
+    few = some if system.traits.slender else some[:: -(_LOOKS // 2)]
+    warn_of_mesh("simulate", system, few, stacklevel=4, moving=True)
 
 
 def warn_of_strains(call: str, system: MechanicalSystem, q: Array, stacklevel: int = 3) -> None:
@@ -374,7 +376,7 @@ def gradient(
         If the estimated errors of the run are larger than its motion.
     CoarseMeshWarning
         If thin beams (elements longer than 14 heights) have too few elements for their curvature in
-        the middle or at the end of the run. `simulate` checks all beams, at nine times.
+        the middle or at the end of the run. `simulate` checks all beams.
     ToleranceWarning
         If the tolerance cannot be reached; the most accurate gradient found is returned.
     """
@@ -452,8 +454,6 @@ def gradients(
         raise UnfinishedRunError(with_remedies(model, run, error.solution)) from error
     solution = found[0].solution
     if not _is_off(system, solution, 4) and system.traits.slender:
-        from ancfdae.statics.equilibrium import warn_of_mesh
-
         some = np.linspace(0, len(solution.q) - 1, 1 + _FEW_LOOKS).round().astype(int)[1:]
         warn_of_mesh("gradient", system, solution.q[some], stacklevel=4, moving=True)
     return found

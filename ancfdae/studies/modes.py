@@ -15,6 +15,7 @@ import scipy
 
 from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.meshes import warn_of_mesh
 from ancfdae.equations.saddle_points import (
     acceleration_side,
     force_total,
@@ -58,7 +59,6 @@ from ancfdae.statics.equilibrium import (
     Equilibrium,
     NoEquilibriumError,
     Tangent,
-    warn_of_mesh,
 )
 from ancfdae.studies.calls import as_system
 from ancfdae.studies.statics import equilibrium

@@ -13,6 +13,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.meshes import warn_of_mesh
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.checks import (
     require_count,
@@ -42,7 +43,6 @@ from ancfdae.statics.equilibrium import (
     Equilibrium,
     Tangent,
     find_equilibrium,
-    warn_of_mesh,
 )
 from ancfdae.studies.calls import as_system, cheapest, differentiable, warn_of_strains
 
