@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 # Number of states of a run at which strains are checked, with the end: all would cost half a run.
 _LOOKS = 9
-# Number of states of a run, the last one included, in which a gradient checks its mesh.
+# Number of states of a run, the last one included, in which the mesh is checked.
 _FEW_LOOKS = 3
 
 
@@ -108,8 +108,7 @@ def simulate(
     (`StabilityWarning`), of very many steps under error control (`ManyStepsWarning`), and of a
     tolerance that cannot be reached (`ToleranceWarning`). Beams strained beyond the validity of
     their elements at one of nine times, the end included, give a `LargeStrainWarning`; those with
-    too few elements for their curvature at these times give a `CoarseMeshWarning` (thick beams at
-    three of them).
+    too few elements for their curvature at three of these times give a `CoarseMeshWarning`.
 
     Parameters
     ----------
@@ -183,8 +182,7 @@ def _warn_of_states(system: MechanicalSystem, q: Array) -> None:
     """Warn the caller of `simulate` of few elements and of large strains in some of its states."""
     some = q[np.linspace(0, len(q) - 1, min(len(q), _LOOKS)).round().astype(int)]
     warn_of_strains("simulate", system, some, stacklevel=4)
-    # Thin beams may lock in a few states only.
-    few = some if system.traits.slender else some[:: -(_LOOKS // 2)]
+    few = some[:: -(_LOOKS // _FEW_LOOKS)]
     warn_of_mesh("simulate", system, few, stacklevel=4, moving=True)
 
 
