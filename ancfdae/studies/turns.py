@@ -58,6 +58,9 @@ def _axial(D: Array, rates: Array) -> Array:
 
     It is omega if r_k are the rates of the directions.
     """
-    plane = ((0, 0), (0, 0), (0, 3 - D.shape[2]))
-    crossed = np.cross(np.pad(D, plane), np.pad(rates, plane)).sum(axis=1)
-    return np.asarray(crossed / 2)
+    S = np.swapaxes(D, 1, 2) @ rates
+    crossed = np.zeros((len(S), 3))
+    for axis in range(3) if D.shape[2] == 3 else (2,):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        crossed[:, axis] = S[:, i, j] - S[:, j, i]
+    return crossed / 2
