@@ -95,7 +95,9 @@ def modes_about(
     are differentiated directly, along the derivatives of the configuration.
     """
     small = Linearised.of(system, at, damped, saddle, mass)
-    pairs = solve(small, count + len(small.idle), highest, whole=system.n_b > 0)
+    # The integrals of states come among the lowest motions.
+    more = 0 if highest else len(small.idle)
+    pairs = solve(small, count + more, highest, whole=system.n_b > 0)
     if len(small.idle):
         pairs = without_idle(small, pairs)
     mu = small.multipliers(pairs.z, pairs.X)

@@ -427,3 +427,11 @@ def test_a_state_without_a_value_at_rest_is_named():
     servo = PID(disc.origin, Constant(0.2), 3.0, 0.0, 1.0, name="servo")
     with pytest.raises(FreeMotionError, match="states of 'servo'"):
         equilibrium(Scene([], [Pin(disc.origin)], bodies=[disc], loads=[servo]))
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_the_highest_poles_are_as_many_as_were_asked_for(count):
+    scene = bar_scene()
+    found = modes(scene, count, at=equilibrium(scene), highest=True).exponents
+    farthest = sorted(bar_poles(P, I, D, R, MASS), key=abs, reverse=True)[:count]
+    assert sorted(found, key=abs, reverse=True) == pytest.approx(farthest, rel=1e-8)
